@@ -1,9 +1,10 @@
 //! The camera path of a sequence or video.
 //!
 //! `cargo run --release -p i2slam-odometry --example path -- SEQUENCE OUT.txt [--depth]
-//! [--scale FACTOR] [--stride N] [--fov DEGREES] [--guess FACTOR] [--open]` writes `world_from_camera` poses in the TUM
-//! format, and prints their error where the sequence has a true path, also over the
-//! deviations that they claim. Depth is used with `--depth`;
+//! [--scale FACTOR] [--stride N] [--fov DEGREES] [--guess FACTOR] [--open]
+//! [--online FILE]` writes `world_from_camera` poses in the TUM
+//! format, and prints their error where the sequence has a true path, also over the deviations that
+//! they claim, and that of the poses as they were known when the frames came. Depth is used with `--depth`;
 //! with `--open` no loop is closed.
 //! The focal length is taken from the sequence or `--fov`; it is estimated where neither gives it,
 //! or from FACTOR times that of the sequence with `--guess`.
@@ -72,17 +73,27 @@ fn main() -> Result<(), Box<dyn Error>> {
     println!("depth sensor: {:?}", found.depth_model);
     println!("{tracked:.1} s for tracking, {:.1} s in all", started.elapsed().as_secs_f64());
     write_trajectory(out, &found.trajectory())?;
+    if let Some(place) = flags.iter().position(|flag| flag == "--online") {
+        let online = flags.get(place + 1).ok_or("--online needs a file")?;
+        write_trajectory(online, &found.online_trajectory())?;
+    }
     let truth = sequence.true_trajectory()?;
     let mut unit = 1.0;
-    for alignment in [Alignment::Se3, Alignment::Sim3] {
-        let path = found.trajectory();
-        let error = absolute_trajectory_error(&path, &truth, alignment, DEFAULT_TOLERANCE);
+    let (online, path) = (found.online_trajectory(), found.trajectory());
+    let alignments = [
+        ("online, Se3", &online, Alignment::Se3),
+        ("online, Sim3", &online, Alignment::Sim3),
+        ("Se3", &path, Alignment::Se3),
+        ("Sim3", &path, Alignment::Sim3),
+    ];
+    for (name, path, alignment) in alignments {
+        let error = absolute_trajectory_error(path, &truth, alignment, DEFAULT_TOLERANCE);
         let Ok(TrajectoryError { ate_rmse_m, ate_max_m, pairs, scale, .. }) = error else {
             continue;
         };
         let [rmse, max] = [ate_rmse_m, ate_max_m].map(|v| 100.0 * v);
         unit = if uses_depth { 1.0 } else { scale };
-        println!("{alignment:?}: {rmse:.3} cm, largest {max:.2}, {pairs} frames, scale {scale:.4}");
+        println!("{name}: {rmse:.3} cm, largest {max:.2}, {pairs} frames, scale {scale:.4}");
     }
     print_deviations(&found, &truth, unit)
 }

@@ -1,15 +1,15 @@
 //! The odometry pipeline: pictures, with or without depth, in; reconstruction out.
 
 use crate::depth::calibration::calibrate_depth;
-use crate::depth::depth_map::{DepthMap, DepthPicture};
+use crate::depth::depth_map::DepthPicture;
 use crate::depth::readings::read_depth;
-use crate::depth::stored_picture::StoredPicture;
 use crate::diagnosis::findings::diagnose;
 use crate::diagnosis::pictures::PictureChecks;
 use crate::error::{OdometryError, PictureError};
 use crate::intrinsics::focal_length::{Intrinsics, search_focal_length};
 use crate::intrinsics::observability::drop_unobservable_distortion;
 use crate::loops::loop_closure::{close_loops, merge_overlapping_keyframes};
+use crate::online::online_map::{OnlineMap, TrackingStatus};
 use crate::progress::Progress;
 use crate::register::dense_constraints::add_dense_constraints;
 use crate::register::initialization::initialize;
@@ -23,8 +23,8 @@ use crate::rolling_shutter::readout::{estimate_rolling_shutter, median_frame_int
 use crate::rolling_shutter::rolling_shutter_init::initialize_readout;
 use crate::sfm_state::SfmState;
 use crate::track::tracker::{FrameReport, Tracker};
-use crate::track::tracks::repeated_frame;
-use i2slam_geometry::Image;
+use crate::track::tracks::{Tracks, repeated_frame};
+use i2slam_geometry::{Image, Pose};
 use std::sync::Arc;
 
 /// Smallest number of pictures.
@@ -42,26 +42,33 @@ pub const MIN_SIDE: usize = 48;
 pub struct FrontEnd {
     intrinsics: Intrinsics,
     tracker: Tracker,
-    timestamps: Vec<f64>,
-    depth_maps: Vec<Option<DepthMap>>,
     picture_checks: PictureChecks,
-    /// Pictures from the first one with depth on.
-    pictures: Vec<Option<StoredPicture>>,
+    map: OnlineMap,
     close_loops: bool,
+}
+
+/// What is known of a frame when it has come.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FrameUpdate {
+    /// Its index among the accepted pictures.
+    pub frame: usize,
+    /// `world_from_camera` at mid-exposure, where it is known. The world is the first keyframe; the
+    /// unit is the metre with measured depth, and arbitrary without.
+    pub pose: Option<Pose<f64>>,
+    /// Status of the pose.
+    pub status: TrackingStatus,
+    /// The picture shows another scene than the one before.
+    pub is_cut: bool,
+    /// The picture became a keyframe.
+    pub is_keyframe: bool,
 }
 
 impl FrontEnd {
     /// A front end for pictures of one camera.
     pub fn new(intrinsics: Intrinsics) -> Self {
-        Self {
-            intrinsics,
-            tracker: Tracker::default(),
-            timestamps: Vec::new(),
-            depth_maps: Vec::new(),
-            picture_checks: PictureChecks::default(),
-            pictures: Vec::new(),
-            close_loops: true,
-        }
+        let (tracker, picture_checks) = (Tracker::default(), PictureChecks::default());
+        let map = OnlineMap::new(SfmState::new(*intrinsics.camera(), Tracks::default()));
+        Self { intrinsics, tracker, picture_checks, map, close_loops: true }
     }
 
     /// Disables loop closure.
@@ -69,8 +76,10 @@ impl FrontEnd {
         Self { close_loops: false, ..self }
     }
 
-    /// Tracks points into the next picture: planes R, G, B in [0, 1], or one plane of brightness;
-    /// timestamp [s]; measured depth of the same size, if there is one.
+    /// Tracks points into the next picture, and registers it to the map so far: planes R, G, B in
+    /// [0, 1], or one plane of brightness; timestamp [s]; measured depth of the same size, if there is
+    /// one. With a known camera its pose is known from the moment on when the map has started: at once
+    /// with depth, and after some motion by colour alone.
     ///
     /// # Errors
     ///
@@ -80,7 +89,7 @@ impl FrontEnd {
         picture: &Image<f32>,
         timestamp: f64,
         depth: Option<&DepthPicture<'_>>,
-    ) -> Result<FrameReport, PictureError> {
+    ) -> Result<FrameUpdate, PictureError> {
         let camera = self.intrinsics.camera();
         let (size, expected) = ([picture.width, picture.height], [camera.width, camera.height]);
         if size != expected {
@@ -93,7 +102,7 @@ impl FrontEnd {
         if !matches!(channels, 1 | 3) || values != picture.pixels() * channels {
             return Err(PictureError::Planes { channels, values });
         }
-        let last = self.timestamps.last().copied().unwrap_or(f64::NEG_INFINITY);
+        let last = self.map.state.timestamps.last().copied().unwrap_or(f64::NEG_INFINITY);
         if !timestamp.is_finite() || timestamp <= last {
             return Err(PictureError::Stamp { timestamp, last });
         }
@@ -104,12 +113,18 @@ impl FrontEnd {
                 return Err(PictureError::Depth { size, expected });
             }
         }
-        self.timestamps.push(timestamp);
         self.picture_checks.add(picture);
-        self.depth_maps.push(depth.map(DepthMap::new));
-        let is_kept = depth.is_some() || self.pictures.last().is_some_and(Option::is_some);
-        self.pictures.push(is_kept.then(|| StoredPicture::new(picture)));
-        Ok(self.tracker.track(picture))
+        self.map.state.add_input(picture, timestamp, depth);
+        let FrameReport { is_cut, is_keyframe } = self.tracker.track(picture);
+        let (frame, is_repeat) = (self.tracker.tracks.frames - 1, &self.picture_checks.is_repeat);
+        let status = match self.intrinsics {
+            Intrinsics::Known(_) => self.map.add_frame(&self.tracker, is_repeat),
+            Intrinsics::Guess(_) | Intrinsics::GuessWithDistortion(_) => {
+                TrackingStatus::Initializing
+            }
+        };
+        let pose = self.map.poses.last().copied().flatten();
+        Ok(FrameUpdate { frame, pose, status, is_cut, is_keyframe })
     }
 
     /// Reconstructs the camera path from all pictures so far.
@@ -118,26 +133,18 @@ impl FrontEnd {
     ///
     /// The reason why there is no path; [`OdometryError::Cancelled`] after cancellation.
     pub fn finish(self, progress: Progress) -> Result<Reconstruction, OdometryError> {
-        let frames = self.timestamps.len();
+        let timestamps = Arc::clone(&self.map.state.timestamps);
+        let frames = timestamps.len();
         if frames < MIN_FRAMES {
             return Err(OdometryError::TooFewFrames { frames, needed: MIN_FRAMES });
         }
         let is_repeat = self.picture_checks.is_repeat.clone();
-        let own_pictures = is_repeat.iter().filter(|repeat| !**repeat).count();
-        let tracks = match own_pictures < MIN_FRAMES {
-            true => self.tracker.tracks,
-            false => self.tracker.tracks.without_repeats(&is_repeat),
-        };
-        let tracks = tracks.with_two_keyframes();
         let adjust_focal = !matches!(self.intrinsics, Intrinsics::Known(_));
-        let mut state = SfmState::new(*self.intrinsics.camera(), tracks);
+        let Self { intrinsics, picture_checks, map, tracker, close_loops: closes_loops } = self;
+        let online_poses = map.poses;
+        let mut state = initial_state(map.state, tracker.tracks, &intrinsics, &is_repeat);
         state.progress = progress.clone();
-        state.depth_maps = Arc::new(self.depth_maps);
-        state.pictures = Arc::new(self.pictures);
-        state.timestamps = Arc::new(self.timestamps.clone());
-        read_depth(&mut state);
-        state.estimates_distortion = matches!(self.intrinsics, Intrinsics::GuessWithDistortion(_));
-        let found = estimate_path(&mut state, adjust_focal, &self.timestamps);
+        let found = estimate_path(&mut state, adjust_focal, &timestamps);
         // A cancelled search may look like any other failure.
         if progress.is_cancelled() {
             return Err(OdometryError::Cancelled);
@@ -145,16 +152,16 @@ impl FrontEnd {
         found?;
         register_depth_pictures(&mut state, adjust_focal);
         let had_initial_readout = state.readout != 0.0;
-        estimate_rolling_shutter(&mut state, &self.timestamps, adjust_focal);
+        estimate_rolling_shutter(&mut state, &timestamps, adjust_focal);
         if state.readout != 0.0 || had_initial_readout {
             adjust_all_frames(&mut state, adjust_focal);
         }
         // The first readout used velocities of a path fitted to uncorrected rows: estimate it again.
         if state.readout != 0.0 {
-            estimate_rolling_shutter(&mut state, &self.timestamps, adjust_focal);
+            estimate_rolling_shutter(&mut state, &timestamps, adjust_focal);
             adjust_all_frames(&mut state, adjust_focal);
         }
-        if self.close_loops {
+        if closes_loops {
             close_loops(&mut state, adjust_focal);
         }
         adjust_until_converged(&mut state, adjust_focal);
@@ -164,15 +171,13 @@ impl FrontEnd {
         if progress.is_cancelled() {
             return Err(OdometryError::Cancelled);
         }
-        let readout = state.readout * median_frame_interval(&self.timestamps).unwrap_or(0.0);
-        let (found, wrong) =
-            ((readout, distortion_dropped), diagnose(&state, &self.picture_checks));
+        let readout = state.readout * median_frame_interval(&timestamps).unwrap_or(0.0);
+        let (found, wrong) = ((readout, distortion_dropped), diagnose(&state, &picture_checks));
         for frame in 0..frames {
             state.poses[frame] = state.poses[repeated_frame(&is_repeat, frame)];
         }
-        let (timestamps, intrinsics) = (&self.timestamps, &self.intrinsics);
-        let built = build_reconstruction(state, timestamps, intrinsics, found, &is_repeat);
-        Ok(wrong.applied_to(built))
+        let built = build_reconstruction(state, &timestamps, &intrinsics, found, &is_repeat);
+        Ok(Reconstruction { online_poses, ..wrong.applied_to(built) })
     }
 }
 
@@ -187,13 +192,37 @@ fn register_depth_pictures(state: &mut SfmState, adjust_focal: bool) {
     }
 }
 
+/// The state that adjustment begins with: the map so far where there is one with depth, or else the
+/// tracks alone.
+fn initial_state(
+    online: SfmState,
+    tracks: Tracks,
+    intrinsics: &Intrinsics,
+    is_repeat: &[bool],
+) -> SfmState {
+    if online.has_depth() && !online.posed_frames().is_empty() {
+        return SfmState { tracks: online.tracks.with_two_keyframes(), ..online };
+    }
+    let own_pictures = is_repeat.iter().filter(|repeat| !**repeat).count();
+    let tracks = match own_pictures < MIN_FRAMES {
+        true => tracks,
+        false => tracks.without_repeats(is_repeat),
+    };
+    let SfmState { timestamps, depth_maps, pictures, .. } = online;
+    let estimates_distortion = matches!(intrinsics, Intrinsics::GuessWithDistortion(_));
+    let empty = SfmState::new(*intrinsics.camera(), tracks.with_two_keyframes());
+    let mut state = SfmState { timestamps, depth_maps, pictures, estimates_distortion, ..empty };
+    read_depth(&mut state);
+    state
+}
+
 /// Initial readout, focal length, and the map.
 fn estimate_path(
     state: &mut SfmState,
     adjust_focal: bool,
     timestamps: &[f64],
 ) -> Result<(), OdometryError> {
-    if !state.estimates_distortion {
+    if !state.estimates_distortion && state.readout == 0.0 {
         state.readout =
             initialize_readout(&mut state.tracks, &state.camera, timestamps, &state.progress);
     }
@@ -221,12 +250,17 @@ fn adjust_until_converged(state: &mut SfmState, adjust_focal: bool) {
 
 /// Builds the map from tracks alone: poses of all frames, and landmarks.
 fn build_map(state: &mut SfmState, adjust_focal: bool) -> Result<(), OdometryError> {
-    initialize(state, 0..state.tracks.keyframes.len())?;
+    let is_started = !state.posed_frames().is_empty();
+    if !is_started {
+        initialize(state, 0..state.tracks.keyframes.len())?;
+    }
     let mut was_lost = register_and_relocalize(state, adjust_focal);
     if let Some((other, other_was_lost)) = largest_component(state, adjust_focal) {
         (*state, was_lost) = (other, other_was_lost);
     }
-    adjust_globally(state, adjust_focal);
+    if !is_started {
+        adjust_globally(state, adjust_focal);
+    }
     register_remaining_frames(state);
     adjust_all_frames(state, adjust_focal);
     if was_lost {

@@ -2,9 +2,9 @@
 //! depth out.
 //!
 //! Points are tracked through all pictures; a keyframe with measured depth, or two keyframes with
-//! parallax, start a map, to which the other frames are registered one by one, with bundle
-//! adjustment in between. Keyframes without a pose are relocalized by what they look like, and
-//! loops are closed. With depth, frames are aligned to the keyframes around them by picture and
+//! parallax, start a map, to which every frame is registered when it comes, with bundle adjustment
+//! around every keyframe. At the end all frames are adjusted together: keyframes without a pose are
+//! relocalized by what they look like, and loops are closed. With depth, frames are aligned to the keyframes around them by picture and
 //! depth, too, and lengths are metres; the unit is arbitrary otherwise. [`DenseDepthEstimator`]
 //! computes the depth of most pixels of keyframes afterwards.
 //!
@@ -21,6 +21,7 @@
 //! | `intrinsics` | search for the focal length, observability of focal length and distortion |
 //! | `rolling_shutter` | estimation of the readout, correction of image positions |
 //! | `relocalize` | keyframes recognised in others by descriptors and geometric verification |
+//! | `online` | the map so far, and the pose of a frame when it comes |
 //! | `loops` | loop closure by a pose graph of similarities |
 //! | `diagnosis` | wrong input: pictures of one colour, frozen or shuffled frames, large moving objects |
 //! | `result`, `front_end` | the result, and the pipeline from pictures to it |
@@ -88,6 +89,10 @@ mod relocalize {
     pub(crate) mod relocalization;
 }
 
+mod online {
+    pub(crate) mod online_map;
+}
+
 mod loops {
     pub(crate) mod loop_closure;
     pub(crate) mod pose_graph;
@@ -116,12 +121,12 @@ pub use depth::registration::register_depth;
 pub use depth::sensor_model::DepthModel;
 pub use diagnosis::pictures::blank_reason;
 pub use error::{OdometryError, PictureError};
-pub use front_end::{FrontEnd, MIN_FRAMES, MIN_SIDE};
+pub use front_end::{FrameUpdate, FrontEnd, MIN_FRAMES, MIN_SIDE};
 pub use intrinsics::focal_length::Intrinsics;
+pub use online::online_map::TrackingStatus;
 pub use pose_deviation::{MIN_NEIGHBOURS, NEIGHBOUR_WINDOW, PoseDeviation};
 pub use progress::{Progress, Stage};
 pub use result::{Keyframe, Reconstruction, SparseDepth};
-pub use track::tracker::FrameReport;
 pub use warning::Warning;
 
 #[cfg(doctest)]

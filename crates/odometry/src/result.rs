@@ -58,6 +58,9 @@ pub struct Reconstruction {
     pub rolling_shutter_readout: f64,
     /// `world_from_camera` at mid-exposure of every accepted picture; `None` where it is lost.
     pub poses: Vec<Option<Pose<f64>>>,
+    /// `world_from_camera` of every accepted picture as it was known when the picture came; `None`
+    /// before the start and where it was lost. Empty where the camera had to be estimated.
+    pub online_poses: Vec<Option<Pose<f64>>>,
     /// Deviation of every pose against those of the frames around it; `None` where it is lost, or
     /// not determined.
     pub deviations: Vec<Option<PoseDeviation>>,
@@ -109,11 +112,20 @@ impl Reconstruction {
 
     /// Poses of all registered frames.
     pub fn trajectory(&self) -> Trajectory {
-        let stamped = |(pose, timestamp): (&Option<Pose<f64>>, &f64)| {
-            Some(StampedPose { timestamp: *timestamp, world_from_camera: (*pose)? })
-        };
-        self.poses.iter().zip(&self.timestamps).filter_map(stamped).collect()
+        stamped(&self.poses, &self.timestamps)
     }
+
+    /// Poses of all frames as they were known when the frames came.
+    pub fn online_trajectory(&self) -> Trajectory {
+        stamped(&self.online_poses, &self.timestamps)
+    }
+}
+
+fn stamped(poses: &[Option<Pose<f64>>], timestamps: &[f64]) -> Trajectory {
+    let stamped = |(pose, timestamp): (&Option<Pose<f64>>, &f64)| {
+        Some(StampedPose { timestamp: *timestamp, world_from_camera: (*pose)? })
+    };
+    poses.iter().zip(timestamps).filter_map(stamped).collect()
 }
 
 /// Builds the result in the first registered frame, without measured depth with the median depth as
@@ -175,6 +187,7 @@ pub(crate) fn build_reconstruction(
         focal_deviation,
         rolling_shutter_readout: readout,
         poses,
+        online_poses: Vec::new(),
         deviations,
         timestamps: timestamps.to_vec(),
         depth_model: is_metric.then_some(state.depth_model),

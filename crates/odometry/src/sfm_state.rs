@@ -1,7 +1,7 @@
 //! State of the reconstruction: camera, tracks, poses and landmarks.
 
 use crate::bundle::{Bundle, BundleObservation, FreeIntrinsics, RelativePoseFactor};
-use crate::depth::depth_map::DepthMap;
+use crate::depth::depth_map::{DepthMap, DepthPicture};
 use crate::depth::sensor_model::DepthModel;
 use crate::depth::stored_picture::StoredPicture;
 use crate::multiview::landmark::{Landmark, MAX_INLIER_ERROR, Match, reprojection_error};
@@ -10,7 +10,7 @@ use crate::multiview::triangulation::{PosedObservation, triangulate};
 use crate::progress::Progress;
 use crate::track::tracks::{DepthReading, Observation, Tracks, shared_positions};
 use i2slam_compute::median;
-use i2slam_geometry::{Camera, Pose};
+use i2slam_geometry::{Camera, Image, Pose};
 use rayon::prelude::*;
 use std::sync::Arc;
 
@@ -34,6 +34,9 @@ pub(crate) struct SfmState {
     pub(crate) by_frame: Arc<Vec<Vec<usize>>>,
     /// `world_from_camera` of every registered frame.
     pub(crate) poses: Vec<Option<Pose<f64>>>,
+    /// Frames other than keyframes that are left out of adjustment, triangulation and rejection of
+    /// outliers; empty if none is.
+    pub(crate) left_out: Vec<bool>,
     /// Landmark of every triangulated track.
     pub(crate) landmarks: Vec<Option<Landmark>>,
     /// Ratio of residuals to the tracker's deviations, at least 1.
@@ -68,6 +71,7 @@ impl SfmState {
             tracks,
             by_frame,
             poses,
+            left_out: Vec::new(),
             landmarks,
             noise_scale: 1.0,
             distortion: [0.0; 2],
@@ -81,6 +85,53 @@ impl SfmState {
             relative_poses: Arc::default(),
             progress: Progress::default(),
         }
+    }
+
+    /// Adds timestamp [s] and depth of the next frame, and its picture from the first depth on.
+    pub(crate) fn add_input(
+        &mut self,
+        picture: &Image<f32>,
+        timestamp: f64,
+        depth: Option<&DepthPicture<'_>>,
+    ) {
+        let is_kept = depth.is_some() || self.pictures.last().is_some_and(Option::is_some);
+        Arc::make_mut(&mut self.timestamps).push(timestamp);
+        Arc::make_mut(&mut self.depth_maps).push(depth.map(DepthMap::new));
+        Arc::make_mut(&mut self.pictures).push(is_kept.then(|| StoredPicture::new(picture)));
+    }
+
+    /// Adds the last frame of the tracker, whose `tracked` points have a new observation there; one
+    /// that repeats another comes without observations.
+    pub(crate) fn add_frame(
+        &mut self,
+        tracks: &Tracks,
+        tracked: impl Iterator<Item = usize>,
+        is_repeat: &[bool],
+    ) {
+        let frame = self.poses.len();
+        self.poses.push(None);
+        let by_frame = Arc::make_mut(&mut self.by_frame);
+        by_frame.push(Vec::new());
+        let known = self.tracks.tracks.len();
+        if !is_repeat[frame] {
+            for index in tracked.filter(|index| *index < known) {
+                let last = tracks.tracks[index].observations.last();
+                let Some(last) = last.filter(|o| o.frame == frame) else { continue };
+                self.tracks.tracks[index].observations.push(*last);
+                by_frame[frame].push(index);
+            }
+        }
+        for (index, track) in tracks.tracks.iter().enumerate().skip(known) {
+            let mut track = track.clone();
+            track.observations.retain(|o| !is_repeat[o.frame]);
+            track.observations.iter().for_each(|o| by_frame[o.frame].push(index));
+            self.tracks.tracks.push(track);
+            self.landmarks.push(None);
+        }
+        self.tracks.frames = frame + 1;
+        self.tracks.keyframes = tracks.keyframes.clone();
+        self.tracks.keyframe_images = Arc::clone(&tracks.keyframe_images);
+        self.tracks.replace_repeated_keyframes(is_repeat);
     }
 
     /// An empty state of the keyframes alone, with the same camera.
@@ -162,6 +213,25 @@ impl SfmState {
         shared_positions(&self.tracks.tracks, &self.by_frame, first, second)
     }
 
+    /// Whether a frame has a pose that is adjusted.
+    pub(crate) fn is_adjusted(&self, frame: usize) -> bool {
+        self.poses[frame].is_some() && !self.left_out.get(frame).is_some_and(|left_out| *left_out)
+    }
+
+    /// Frames with a pose that is adjusted, in order.
+    pub(crate) fn adjusted_frames(&self) -> Vec<usize> {
+        (0..self.poses.len()).filter(|f| self.is_adjusted(*f)).collect()
+    }
+
+    /// Result of an adjustment from which all frames but keyframes are left out.
+    pub(crate) fn with_keyframes_alone<T>(&mut self, adjust: impl FnOnce(&mut Self) -> T) -> T {
+        self.left_out = vec![true; self.poses.len()];
+        self.tracks.keyframes.iter().for_each(|frame| self.left_out[*frame] = false);
+        let result = adjust(self);
+        self.left_out.clear();
+        result
+    }
+
     /// Frames with a pose, in order.
     pub(crate) fn posed_frames(&self) -> Vec<usize> {
         (0..self.poses.len()).filter(|f| self.poses[*f].is_some()).collect()
@@ -181,8 +251,10 @@ impl SfmState {
         tracks.retain(|i| self.landmarks[*i].is_none());
         let landmark = |i: &usize| {
             let right = self.tracks.tracks[*i].observations.iter().filter(|o| !o.is_outlier);
-            let observations: Vec<PosedObservation<'_>> =
-                right.filter_map(|o| Some((o, self.poses[o.frame]?))).collect();
+            let observations: Vec<PosedObservation<'_>> = right
+                .filter(|o| self.is_adjusted(o.frame))
+                .filter_map(|o| Some((o, self.poses[o.frame]?)))
+                .collect();
             triangulate(&self.camera, &observations, self.noise_scale)
         };
         let found: Vec<Option<Landmark>> = tracks.par_iter().map(landmark).collect();
@@ -286,7 +358,7 @@ impl SfmState {
         adjust_focal: bool,
     ) -> (Bundle, Vec<usize>, Vec<usize>) {
         let tracks = self.tracks_in(free);
-        let is_inlier = |o: &&Observation| !o.is_outlier && self.poses[o.frame].is_some();
+        let is_inlier = |o: &&Observation| !o.is_outlier && self.is_adjusted(o.frame);
         let inliers =
             |track: &usize| self.tracks.tracks[*track].observations.iter().filter(is_inlier);
         let kept = |track: &usize| self.landmarks[*track].is_some() && inliers(track).count() > 1;
@@ -348,13 +420,15 @@ impl SfmState {
     }
 
     fn reject_outliers_of(&mut self, tracks: Vec<usize>) {
-        let (camera, poses, worst) = (self.camera, &self.poses, OUTLIER_ERROR * self.noise_scale);
+        let (camera, worst) = (self.camera, OUTLIER_ERROR * self.noise_scale);
+        let adjusted: Vec<Option<Pose<f64>>> =
+            (0..self.poses.len()).map(|f| self.poses[f].filter(|_| self.is_adjusted(f))).collect();
         for index in tracks {
             let (landmark, track) = (&mut self.landmarks[index], &mut self.tracks.tracks[index]);
             let Some(known) = landmark else { continue };
             let mut left = 0;
             for observation in &mut track.observations {
-                let Some(pose) = &poses[observation.frame] else { continue };
+                let Some(pose) = &adjusted[observation.frame] else { continue };
                 let off = reprojection_error(&camera, pose, &(&*known, observation));
                 observation.is_outlier = off > worst;
                 left += usize::from(!observation.is_outlier);
@@ -377,7 +451,7 @@ impl SfmState {
     /// Median residual over that expected from the tracker's deviations.
     pub(crate) fn residual_scale(&self) -> Option<f64> {
         let mut all = Vec::new();
-        for frame in self.posed_frames() {
+        for frame in self.adjusted_frames() {
             let Some(pose) = self.poses[frame] else { continue };
             let of = |m: &Match<'_>| reprojection_error(&self.camera, &pose, m);
             all.extend(self.matches(frame).iter().map(of));

@@ -98,9 +98,9 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
                     .map_err(PictureError::from)
             });
             match pushed {
-                Ok(report) => {
+                Ok(update) => {
                     positions.push(position);
-                    keyframes += usize::from(report.is_keyframe);
+                    keyframes += usize::from(update.is_keyframe);
                 }
                 Err(why) => refused.push((position, why)),
             }

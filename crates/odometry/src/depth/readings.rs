@@ -6,9 +6,12 @@ use crate::rolling_shutter::readout::{camera_velocity, median_frame_interval};
 use crate::sfm_state::SfmState;
 use crate::track::tracks::{DepthReading, Observation};
 use i2slam_geometry::{Camera, Pose};
+use std::sync::Arc;
 
 /// Difference to the landmark from which on a reading shows something else [standard deviations].
 const MAX_READING_ERROR: f64 = 6.0;
+/// Readings of a landmark from which on their residuals tell the sensor's deviation.
+const MIN_READINGS_PER_LANDMARK: usize = 4;
 
 /// Gives every observation of a frame with a depth picture its reading; readings that contradict a
 /// landmark are left out.
@@ -16,32 +19,35 @@ const MAX_READING_ERROR: f64 = 6.0;
 /// A depth picture taken at another time than the colour picture is read where the landmark was
 /// then, and the reading is corrected by how much nearer the landmark came in between.
 pub(crate) fn read_depth(state: &mut SfmState) {
-    if !state.has_depth() {
-        return;
+    if state.has_depth() {
+        (0..state.poses.len()).for_each(|frame| read_depth_in(state, frame));
     }
-    let views: Vec<Option<[Pose<f64>; 2]>> =
-        (0..state.poses.len()).map(|frame| poses_at_both_times(state, frame)).collect();
-    let (camera, distortion) = (state.camera, state.distortion);
-    let (maps, model) = (&state.depth_maps, &state.depth_model);
-    for (landmark, track) in state.landmarks.iter().zip(&mut state.tracks.tracks) {
-        for o in &mut track.observations {
-            let Some(map) = maps.get(o.frame).and_then(Option::as_ref) else { continue };
-            let flat = undistort(&camera, distortion, o.raw);
-            let mut at: [f64; 2] =
-                std::array::from_fn(|i| o.raw[i] + o.at[i] - flat[i] + model.shift[i]);
-            let view = landmark.as_ref().zip(views[o.frame].as_ref());
-            let between = view.and_then(|(landmark, poses)| motion(&camera, landmark, poses));
-            let (moved, nearer) = between.unwrap_or_default();
-            (0..2).for_each(|i| at[i] += moved[i]);
-            let read = map.inverse_at(at).map(|inverse| inverse - nearer);
-            o.depth = read
-                .filter(|inverse| *inverse > 0.0)
-                .map(|inverse| DepthReading { inverse, sigma: model.sigma(inverse) });
-            let residual = view.and_then(|(landmark, [pose, _])| residual(landmark, pose, o));
-            o.depth = o.depth.filter(|reading| {
-                residual.is_none_or(|r| r.abs() <= MAX_READING_ERROR * reading.sigma)
-            });
-        }
+}
+
+/// Gives the observations of one frame their readings.
+pub(crate) fn read_depth_in(state: &mut SfmState, frame: usize) {
+    let (maps, by_frame) = (Arc::clone(&state.depth_maps), Arc::clone(&state.by_frame));
+    let Some(map) = maps.get(frame).and_then(Option::as_ref) else { return };
+    let poses = poses_at_both_times(state, frame);
+    let (camera, distortion, model) = (state.camera, state.distortion, &state.depth_model);
+    for track in &by_frame[frame] {
+        let landmark = state.landmarks[*track].as_ref();
+        let Some(o) = state.tracks.tracks[*track].observation_in_mut(frame) else { continue };
+        let flat = undistort(&camera, distortion, o.raw);
+        let mut at: [f64; 2] =
+            std::array::from_fn(|i| o.raw[i] + o.at[i] - flat[i] + model.shift[i]);
+        let view = landmark.zip(poses.as_ref());
+        let between = view.and_then(|(landmark, poses)| motion(&camera, landmark, poses));
+        let (moved, nearer) = between.unwrap_or_default();
+        (0..2).for_each(|i| at[i] += moved[i]);
+        let read = map.inverse_at(at).map(|inverse| inverse - nearer);
+        o.depth = read
+            .filter(|inverse| *inverse > 0.0)
+            .map(|inverse| DepthReading { inverse, sigma: model.sigma(inverse) });
+        let residual = view.and_then(|(landmark, [pose, _])| residual(landmark, pose, o));
+        o.depth = o.depth.filter(|reading| {
+            residual.is_none_or(|r| r.abs() <= MAX_READING_ERROR * reading.sigma)
+        });
     }
 }
 
@@ -52,10 +58,16 @@ pub(crate) fn update_depth_model(state: &mut SfmState) {
     }
     let mut residuals = Vec::new();
     for (landmark, track) in state.landmarks.iter().zip(&state.tracks.tracks) {
-        for o in track.observations.iter().filter(|o| !o.is_outlier) {
+        let seen =
+            track.observations.iter().filter(|o| !o.is_outlier && state.is_adjusted(o.frame));
+        let off = |o: &Observation| {
             let view = landmark.as_ref().zip(state.poses[o.frame].as_ref());
-            let off = view.and_then(|(landmark, pose)| residual(landmark, pose, o));
-            residuals.extend(off.zip(o.depth).map(|(off, reading)| [reading.inverse, off]));
+            view.and_then(|(landmark, pose)| Some([o.depth?.inverse, residual(landmark, pose, o)?]))
+        };
+        let of_landmark: Vec<[f64; 2]> = seen.filter_map(off).collect();
+        // A landmark lies where its first readings say.
+        if of_landmark.len() >= MIN_READINGS_PER_LANDMARK {
+            residuals.extend(of_landmark);
         }
     }
     state.depth_model.fit_deviation(residuals);

@@ -34,16 +34,21 @@ pub(crate) fn register_keyframes(state: &mut SfmState, adjust_focal: bool, most:
             // Few views leave the focal length undetermined.
             adjust_globally(state, adjust_focal && count > 4);
         } else {
-            let near = nearest_posed(&state.posed_frames(), frame);
-            state.adjust(&near, false, LOCAL_STEPS);
-            state.reject_outliers_in(&near);
+            adjust_nearest(state, frame);
         }
     }
 }
 
+/// Adjusts the frames nearest to one.
+pub(crate) fn adjust_nearest(state: &mut SfmState, frame: usize) {
+    let near = nearest_posed(&state.adjusted_frames(), frame);
+    state.adjust(&near, false, LOCAL_STEPS);
+    state.reject_outliers_in(&near);
+}
+
 /// Adjusts all poses twice, without outliers; returns the mean cost per observation.
 pub(crate) fn adjust_globally(state: &mut SfmState, adjust_focal: bool) -> f64 {
-    let all = state.posed_frames();
+    let all = state.adjusted_frames();
     state.adjust(&all, adjust_focal, GLOBAL_STEPS);
     state.update_noise_scale();
     update_depth_model(state);
@@ -89,26 +94,26 @@ fn adjusts_all(state: &SfmState) -> bool {
 /// Adjusts the keyframes jointly, and every frame between them to their landmarks; returns the mean
 /// cost.
 fn adjust_keyframes(state: &mut SfmState, adjust_focal: bool) -> f64 {
-    let posed = state.posed_frames();
-    let mut is_keyframe = vec![false; state.poses.len()];
-    state.tracks.keyframes.iter().for_each(|f| is_keyframe[*f] = true);
-    let between: Vec<usize> = posed.into_iter().filter(|f| !is_keyframe[*f]).collect();
-    // Without the poses in between the bundle holds keyframes only.
-    let before: Vec<Option<Pose<f64>>> = between.iter().map(|f| state.poses[*f].take()).collect();
-    let cost = adjust_globally(state, adjust_focal);
-    let again = |(frame, pose): (&usize, &Option<Pose<f64>>)| {
+    let cost = state.with_keyframes_alone(|state| adjust_globally(state, adjust_focal));
+    register_between(state, &(0..state.poses.len()).collect::<Vec<_>>());
+    register_remaining_frames(state);
+    cost
+}
+
+/// Registers those of some posed frames that are no keyframes anew, from where they are.
+pub(crate) fn register_between(state: &mut SfmState, frames: &[usize]) {
+    let is_keyframe = |frame: &usize| state.tracks.keyframes.binary_search(frame).is_ok();
+    let again = |frame: &usize| {
         let matches = state.matches(*frame);
-        let pose = pose.filter(|_| !state.progress.is_cancelled());
-        let found =
-            pose.and_then(|start| solve_pnp(&state.camera, start, &matches, state.noise_scale));
+        let start = state.poses[*frame].filter(|_| !state.progress.is_cancelled())?;
+        let found = solve_pnp(&state.camera, start, &matches, state.noise_scale);
         found.filter(|f| has_enough_inliers(f, matches.len())).map(|f| f.world_from_camera)
     };
-    let found: Vec<_> = between.par_iter().zip(&before).map(again).collect();
+    let between: Vec<usize> = frames.iter().copied().filter(|f| !is_keyframe(f)).collect();
+    let found: Vec<_> = between.par_iter().map(again).collect();
     for (frame, pose) in between.into_iter().zip(found) {
         state.poses[frame] = pose;
     }
-    register_remaining_frames(state);
-    cost
 }
 
 /// Registers frames between keyframes and remaining keyframes, until none succeeds.
@@ -165,7 +170,7 @@ fn register_best_of(state: &mut SfmState, frames: &[usize]) -> Option<usize> {
 }
 
 /// The pose of a frame from its landmarks, from several initial poses.
-fn estimate_pose(state: &SfmState, frame: usize) -> Option<PnpSolution> {
+pub(crate) fn estimate_pose(state: &SfmState, frame: usize) -> Option<PnpSolution> {
     if state.progress.is_cancelled() {
         return None;
     }

@@ -18,7 +18,7 @@ const MAX_ATTEMPTS: usize = 30;
 const KEYFRAMES_PER_BATCH: usize = 8;
 
 /// Frames of older keyframes that every newer one was compared with in vain.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub(crate) struct FailedPairs(HashMap<usize, HashSet<usize>>);
 
 impl FailedPairs {

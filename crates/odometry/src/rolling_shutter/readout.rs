@@ -10,6 +10,7 @@ use crate::progress::Stage;
 use crate::sfm_state::{MAX_READOUT, SfmState};
 use i2slam_compute::median;
 use i2slam_geometry::{Pose, Tangent};
+use std::sync::Arc;
 
 /// Steps of the first and of later searches [frame intervals].
 const COARSE_STEP: f64 = 0.5;
@@ -55,7 +56,7 @@ struct ReadoutSearch<'a> {
 
 impl<'a> ReadoutSearch<'a> {
     fn new(state: &SfmState, timestamps: &'a [f64], interval: f64, adjust_focal: bool) -> Self {
-        let posed = state.posed_frames();
+        let posed = state.adjusted_frames();
         let stretches: Vec<&[usize]> = if posed.len() <= SAMPLE_STRETCHES * STRETCH_FRAMES {
             vec![&posed]
         } else {
@@ -127,30 +128,44 @@ pub(crate) fn parabola_minimum(step: f64, [before, middle, after]: [f64; 3]) -> 
     (curvature > 0.0 && lowest.is_finite()).then(|| lowest.clamp(-2.0 * step, 2.0 * step))
 }
 
-/// Corrects observations with known velocity to the middle row; readout 0 only undistorts.
-fn correct_observations(state: &mut SfmState, timestamps: &[f64], readout: f64, interval: f64) {
-    let velocities: Vec<Option<Tangent<f64>>> =
-        (0..state.poses.len()).map(|f| camera_velocity(state, timestamps, f, interval)).collect();
-    let (camera, distortion, poses) = (state.camera, state.distortion, &state.poses);
-    for (landmark, track) in state.landmarks.iter().zip(&mut state.tracks.tracks) {
-        for o in &mut track.observations {
-            let flat = undistort(&camera, distortion, o.raw);
-            if readout == 0.0 {
-                o.at = flat;
-                continue;
-            }
-            let (Some(pose), Some(camera_velocity)) = (poses[o.frame], velocities[o.frame]) else {
-                continue;
-            };
-            let far = || Landmark::on_ray(&camera, pose, flat, 0.0);
-            let landmark = landmark.unwrap_or_else(far);
-            let late = readout * (o.raw[1] / camera.height as f64 - 0.5);
-            let then = pose.retract(camera_velocity.scaled(late));
-            let positions =
-                (landmark.image_position(&camera, &pose), landmark.image_position(&camera, &then));
-            if let (Some(now), Some(then)) = positions {
-                o.at = std::array::from_fn(|i| flat[i] - (then[i] - now[i]));
-            }
+/// Corrects all observations with known velocity to the middle row; readout 0 only undistorts.
+pub(crate) fn correct_observations(
+    state: &mut SfmState,
+    timestamps: &[f64],
+    readout: f64,
+    interval: f64,
+) {
+    for frame in 0..state.poses.len() {
+        correct_observations_in(state, frame, timestamps, (readout, interval));
+    }
+}
+
+/// Corrects the observations of one frame to the middle row, for a readout and an interval [s].
+pub(crate) fn correct_observations_in(
+    state: &mut SfmState,
+    frame: usize,
+    timestamps: &[f64],
+    (readout, interval): (f64, f64),
+) {
+    let moving = state.poses[frame].zip(camera_velocity(state, timestamps, frame, interval));
+    let (camera, distortion, by_frame) =
+        (state.camera, state.distortion, Arc::clone(&state.by_frame));
+    for track in &by_frame[frame] {
+        let Some(o) = state.tracks.tracks[*track].observation_in_mut(frame) else { continue };
+        let flat = undistort(&camera, distortion, o.raw);
+        if readout == 0.0 {
+            o.at = flat;
+            continue;
+        }
+        let Some((pose, velocity)) = moving else { continue };
+        let far = || Landmark::on_ray(&camera, pose, flat, 0.0);
+        let landmark = state.landmarks[*track].unwrap_or_else(far);
+        let late = readout * (o.raw[1] / camera.height as f64 - 0.5);
+        let then = pose.retract(velocity.scaled(late));
+        let positions =
+            (landmark.image_position(&camera, &pose), landmark.image_position(&camera, &then));
+        if let (Some(now), Some(then)) = positions {
+            o.at = std::array::from_fn(|i| flat[i] - (then[i] - now[i]));
         }
     }
 }

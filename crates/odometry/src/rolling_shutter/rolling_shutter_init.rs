@@ -6,6 +6,7 @@
 use crate::multiview::two_view::{RayPair, fit_rotation, ray_pairs};
 use crate::progress::{Progress, Stage};
 use crate::rolling_shutter::readout::{MAX_COST_RATIO, median_frame_interval, parabola_minimum};
+use crate::sfm_state::MAX_READOUT;
 use crate::track::tracks::{Tracks, shared_positions};
 use i2slam_geometry::{Camera, Rotation, Vec3};
 use rayon::prelude::*;
@@ -40,6 +41,7 @@ pub(crate) fn initialize_readout(
     let costs: Vec<f64> =
         (-STEPS_PER_SIDE..=STEPS_PER_SIDE).map(|k| cost(STEP * f64::from(k))).collect();
     let Some(best) = best_readout(&costs) else { return 0.0 };
+    let best = best.clamp(-MAX_READOUT, MAX_READOUT);
     if cost(best) > MAX_COST_RATIO * costs[STEPS_PER_SIDE as usize] {
         return 0.0;
     }

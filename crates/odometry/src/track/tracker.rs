@@ -30,7 +30,7 @@ const KEYFRAME_DUE_OVERLAP: f32 = 0.7;
 const KEYFRAME_INTERVAL: usize = 8;
 const MIN_KEYFRAME_MOTION: f32 = 0.006;
 /// Frames before a keyframe through which its new points are tracked backward.
-const BACKWARD_FRAMES: usize = 16;
+pub(crate) const BACKWARD_FRAMES: usize = 16;
 /// A keyframe waits for a frame of this ratio of the median sharpness, for so many frames.
 const MIN_KEYFRAME_SHARPNESS: f32 = 0.85;
 const MAX_KEYFRAME_DELAY: usize = 3;
@@ -71,11 +71,11 @@ struct TrackedPicture {
 
 /// Tracking summary of one picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct FrameReport {
+pub(crate) struct FrameReport {
     /// The picture shows another scene than the one before.
-    pub is_cut: bool,
+    pub(crate) is_cut: bool,
     /// The picture became a keyframe.
-    pub is_keyframe: bool,
+    pub(crate) is_keyframe: bool,
 }
 
 /// Tracker of points through a sequence.
@@ -115,6 +115,11 @@ impl Tracker {
             self.recent.pop_front();
         }
         FrameReport { is_cut, is_keyframe }
+    }
+
+    /// Tracks with an observation in the last frame.
+    pub(crate) fn tracked(&self) -> impl Iterator<Item = usize> {
+        self.points.iter().filter(|point| point.hidden_frames == 0).map(|point| point.track)
     }
 
     /// Tracks all points, and finds translation and blur of the picture; returns whether the scene

@@ -48,6 +48,12 @@ impl Track {
         self.observations.get(i).filter(|o| o.frame == frame)
     }
 
+    /// The observation in a frame, to be changed.
+    pub(crate) fn observation_in_mut(&mut self, frame: usize) -> Option<&mut Observation> {
+        let i = self.observations.partition_point(|o| o.frame < frame);
+        self.observations.get_mut(i).filter(|o| o.frame == frame)
+    }
+
     /// Adds an observation; false if the frame has one already.
     pub(crate) fn insert(&mut self, observation: Observation) -> bool {
         let i = self.observations.partition_point(|o| o.frame < observation.frame);
@@ -88,12 +94,20 @@ impl Tracks {
         for track in &mut self.tracks {
             track.observations.retain(|o| !repeats(o.frame));
         }
+        self.replace_repeated_keyframes(is_repeat);
+        self
+    }
+
+    /// Replaces keyframes that repeat the picture before them by the frame that they repeat.
+    pub(crate) fn replace_repeated_keyframes(&mut self, is_repeat: &[bool]) {
+        if !self.keyframes.iter().any(|frame| is_repeat.get(*frame) == Some(&true)) {
+            return;
+        }
         self.keyframes.iter_mut().for_each(|frame| *frame = repeated_frame(is_repeat, *frame));
         self.keyframes.dedup();
         let images = Arc::make_mut(&mut self.keyframe_images);
         images.iter_mut().for_each(|image| image.frame = repeated_frame(is_repeat, image.frame));
         images.dedup_by_key(|image| image.frame);
-        self
     }
 
     /// The tracks reduced to observations in keyframes.

@@ -1,6 +1,7 @@
 //! The odometry as its users call it, on small rendered pictures of a room, good ones and bad ones.
 
 mod dense;
+mod online;
 mod progress;
 mod revisits;
 mod scene;

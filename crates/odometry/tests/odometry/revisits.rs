@@ -148,9 +148,9 @@ fn both_sides_of_a_cut_at_one_place_are_posed() {
 fn a_cut_is_reported_and_the_part_that_shows_another_place_named() {
     let mut front_end = FrontEnd::new(Intrinsics::Known(camera()));
     for (i, picture) in interrupted(0..11, Some(7)).iter().enumerate() {
-        let report =
+        let update =
             front_end.push(picture, i as f64 / 30.0, None).expect("a picture of that size");
-        assert_eq!(report.is_cut, i == 11, "frame {i}");
+        assert_eq!(update.is_cut, i == 11, "frame {i}");
     }
     let found = front_end.finish(Progress::default()).expect("a path");
     assert_eq!(lost(&found), (0..11).collect::<Vec<_>>());

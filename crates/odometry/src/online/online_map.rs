@@ -1,0 +1,278 @@
+//! Map and path so far, to which every frame is added when it comes.
+//!
+//! A frame is registered to the landmarks of the keyframes before it, from where constant velocity
+//! takes it; a keyframe brings new landmarks, and the keyframes around it are adjusted. Frames
+//! between keyframes move with the one before them.
+
+use crate::depth::readings::read_depth_in;
+use crate::multiview::landmark::reprojection_error;
+use crate::register::initialization::initialize;
+use crate::register::registration::{
+    adjust_globally, adjust_nearest, estimate_pose, register_keyframes, register_remaining_frames,
+};
+use crate::relocalize::relocalization::{FailedPairs, relocalize};
+use crate::rolling_shutter::readout::{
+    MAX_COST_RATIO, correct_observations, correct_observations_in, estimate_rolling_shutter,
+    median_frame_interval,
+};
+use crate::rolling_shutter::rolling_shutter_init::initialize_readout;
+use crate::sfm_state::SfmState;
+use crate::track::tracker::{BACKWARD_FRAMES, Tracker};
+use i2slam_compute::median;
+use i2slam_geometry::{Pose, Similarity};
+use std::sync::Arc;
+
+/// Keyframes among which the first pair of a map is searched.
+const INITIALIZATION_WINDOW: usize = 12;
+/// Growth of the number of keyframes at which all are adjusted.
+const GLOBAL_ADJUSTMENT_GROWTH: f64 = 1.3;
+/// Frames after which the readout is looked for.
+const READOUT_ESTIMATES: [usize; 7] = [6, 10, 15, 20, 30, 60, 120];
+/// Frames up to which another readout starts the map anew: rows were some pixels off.
+const MAX_RESTART_FRAMES: usize = 30;
+
+/// Knowledge of the pose of a frame at the time when it came.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TrackingStatus {
+    /// There is no map yet.
+    Initializing,
+    /// Registered to the map.
+    Tracked,
+    /// The picture shows nothing of the map.
+    Lost,
+}
+
+/// The map so far.
+#[derive(Clone, Debug)]
+pub(crate) struct OnlineMap {
+    pub(crate) state: SfmState,
+    /// `world_from_camera` of every frame as it was known when the frame came.
+    pub(crate) poses: Vec<Option<Pose<f64>>>,
+    failed: FailedPairs,
+    /// Keyframes at the last adjustment of all of them.
+    adjusted_keyframes: usize,
+}
+
+impl OnlineMap {
+    /// An empty map.
+    pub(crate) fn new(state: SfmState) -> Self {
+        let (poses, failed) = (Vec::new(), FailedPairs::default());
+        Self { state, poses, failed, adjusted_keyframes: 0 }
+    }
+
+    /// Adds the last frame of the tracker, whose timestamp, depth and picture the state has already.
+    pub(crate) fn add_frame(&mut self, tracker: &Tracker, is_repeat: &[bool]) -> TrackingStatus {
+        let frame = self.state.poses.len();
+        self.state.add_frame(&tracker.tracks, tracker.tracked(), is_repeat);
+        if is_repeat[frame] {
+            self.poses.push(self.poses.last().copied().flatten());
+            return self.status();
+        }
+        let interval = median_frame_interval(&self.state.timestamps).unwrap_or(0.0);
+        let is_keyframe = tracker.tracks.keyframes.last() == Some(&frame);
+        if READOUT_ESTIMATES.contains(&frame) {
+            self.estimate_readout(interval);
+        }
+        if !self.is_started() {
+            self.measure_again(frame, interval);
+            if is_keyframe {
+                self.start();
+            }
+        } else {
+            self.register(frame, interval);
+            if is_keyframe {
+                self.add_keyframe(frame, interval);
+            }
+        }
+        self.poses.push(self.state.poses[frame]);
+        self.status()
+    }
+
+    /// Whether there is a map.
+    pub(crate) fn is_started(&self) -> bool {
+        self.adjusted_keyframes > 0
+    }
+
+    fn status(&self) -> TrackingStatus {
+        match self.poses.last().copied().flatten() {
+            Some(_) => TrackingStatus::Tracked,
+            None if self.is_started() => TrackingStatus::Lost,
+            None => TrackingStatus::Initializing,
+        }
+    }
+
+    /// Starts a map from the last keyframes, if they allow it.
+    fn start(&mut self) {
+        let state = &mut self.state;
+        let count = state.tracks.keyframes.len();
+        if initialize(state, count.saturating_sub(INITIALIZATION_WINDOW)..count).is_err() {
+            state.reset();
+            return;
+        }
+        register_keyframes(state, false, usize::MAX);
+        adjust_globally(state, false);
+        self.adjusted_keyframes = state.posed_frames().len();
+        register_remaining_frames(state);
+    }
+
+    /// Registers a frame to the map, first with the rows corrected for the predicted velocity.
+    fn register(&mut self, frame: usize, interval: f64) {
+        let state = &mut self.state;
+        if state.readout != 0.0 {
+            state.poses[frame] = predicted_pose(state, frame);
+            correct_rows(state, frame, interval);
+            state.poses[frame] = None;
+        }
+        state.poses[frame] = estimate_pose(state, frame).map(|found| found.world_from_camera);
+        self.measure_again(frame, interval);
+        // Its velocity is known from both sides now.
+        if frame > 0 {
+            self.measure_again(frame - 1, interval);
+        }
+    }
+
+    /// Corrects the rows of a frame and reads its depth for the velocity that is known now.
+    fn measure_again(&mut self, frame: usize, interval: f64) {
+        correct_rows(&mut self.state, frame, interval);
+        read_depth_in(&mut self.state, frame);
+    }
+
+    /// Adds the landmarks of a keyframe and adjusts the keyframes around it; one without a pose is
+    /// relocalized.
+    fn add_keyframe(&mut self, frame: usize, interval: f64) {
+        for earlier in frame.saturating_sub(BACKWARD_FRAMES)..frame {
+            self.measure_again(earlier, interval);
+        }
+        let state = &mut self.state;
+        if state.poses[frame].is_none() && !relocalize(state, &mut self.failed) {
+            return;
+        }
+        let before = posed_keyframes(state);
+        let adjusted_at = &mut self.adjusted_keyframes;
+        state.with_keyframes_alone(|state| {
+            state.triangulate_missing_in(frame);
+            match before.len() as f64 >= GLOBAL_ADJUSTMENT_GROWTH * *adjusted_at as f64 {
+                true => {
+                    *adjusted_at = before.len();
+                    adjust_globally(state, false);
+                }
+                false => adjust_nearest(state, frame),
+            }
+        });
+        move_with_keyframes(state, &before);
+    }
+
+    /// Looks for the readout, and adjusts the path to it: in the first frames by a map with the one
+    /// that explains the rotations best, which has to explain more than the present map; later by the
+    /// cost of the map.
+    fn estimate_readout(&mut self, interval: f64) {
+        let timestamps = Arc::clone(&self.state.timestamps);
+        if self.is_started() && self.state.poses.len() > MAX_RESTART_FRAMES {
+            let before = posed_keyframes(&self.state);
+            self.state.with_keyframes_alone(|state| {
+                estimate_rolling_shutter(state, &timestamps, false);
+                adjust_globally(state, false);
+            });
+            move_with_keyframes(&mut self.state, &before);
+            return;
+        }
+        let mut other = self.clone();
+        let state = &mut other.state;
+        state.reset();
+        correct_observations(state, &timestamps, 0.0, interval);
+        state.readout =
+            initialize_readout(&mut state.tracks, &state.camera, &timestamps, &state.progress);
+        if state.readout == 0.0 {
+            return;
+        }
+        if !self.is_started() {
+            *self = other;
+            return;
+        }
+        other.start();
+        if other.is_started() {
+            other.improve(&timestamps, interval);
+            self.improve(&timestamps, interval);
+            if other.misfit() < MAX_COST_RATIO * self.misfit() {
+                other.move_to_world_of(&self.state);
+                *self = other;
+            }
+        }
+    }
+
+    /// Corrects all rows for the velocities of the path, and adjusts the keyframes.
+    fn improve(&mut self, timestamps: &[f64], interval: f64) {
+        let state = &mut self.state;
+        correct_observations(state, timestamps, state.readout * interval, interval);
+        let before = posed_keyframes(state);
+        state.with_keyframes_alone(|state| adjust_globally(state, false));
+        move_with_keyframes(state, &before);
+    }
+
+    /// Median residual of all keyframes over the share of observations that are explained.
+    fn misfit(&self) -> f64 {
+        let (state, mut all, mut explained) = (&self.state, Vec::new(), 0);
+        for frame in &state.tracks.keyframes {
+            let Some(pose) = &state.poses[*frame] else { continue };
+            let matches = state.matches(*frame);
+            explained += matches.iter().filter(|(_, o)| !o.is_outlier).count();
+            all.extend(matches.iter().map(|m| reprojection_error(&state.camera, pose, m)));
+        }
+        median(&mut all).map_or(f64::INFINITY, |usual| usual / explained.max(1) as f64)
+    }
+
+    /// Moves the map to the world of another one with the same keyframes, by colour alone with its
+    /// unit of length.
+    fn move_to_world_of(&mut self, other: &SfmState) {
+        let known = |frame: &usize| Some((other.poses[*frame]?, self.state.poses[*frame]?));
+        let common: Vec<(Pose<f64>, Pose<f64>)> =
+            other.tracks.keyframes.iter().filter_map(known).collect();
+        let Some(((there, here), (last_there, last_here))) = common.first().zip(common.last())
+        else {
+            return;
+        };
+        let length = |a: &Pose<f64>, b: &Pose<f64>| (a.translation - b.translation).norm();
+        let ratio = length(there, last_there) / length(here, last_here);
+        let is_scaled = !other.has_depth() && ratio.is_finite() && ratio > 0.0;
+        let scale = if is_scaled { ratio } else { 1.0 };
+        let by = Similarity::from_pose(*there, scale)
+            .compose(&Similarity::from_pose(*here, 1.0).inverse());
+        let SfmState { poses, landmarks, .. } = &mut self.state;
+        poses.iter_mut().flatten().for_each(|pose| *pose = by.apply_to_pose(*pose));
+        let landmarks = landmarks.iter_mut().flatten();
+        landmarks.for_each(|landmark| *landmark = landmark.transformed(&by));
+    }
+}
+
+fn correct_rows(state: &mut SfmState, frame: usize, interval: f64) {
+    let timestamps = Arc::clone(&state.timestamps);
+    let readout = state.readout * interval;
+    correct_observations_in(state, frame, &timestamps, (readout, interval));
+}
+
+/// The pose of a frame at constant velocity.
+fn predicted_pose(state: &SfmState, frame: usize) -> Option<Pose<f64>> {
+    let last = state.poses[frame.checked_sub(1)?]?;
+    match frame.checked_sub(2).and_then(|before| state.poses[before]) {
+        Some(before) => Some(before.interpolate(last, 2.0)),
+        None => Some(last),
+    }
+}
+
+/// Keyframes with a pose, in order.
+fn posed_keyframes(state: &SfmState) -> Vec<(usize, Pose<f64>)> {
+    state.tracks.keyframes.iter().filter_map(|f| Some((*f, state.poses[*f]?))).collect()
+}
+
+/// Moves every frame between keyframes with the keyframe before it, given where those were.
+fn move_with_keyframes(state: &mut SfmState, before: &[(usize, Pose<f64>)]) {
+    let last = state.poses.len();
+    for (place, (keyframe, was)) in before.iter().enumerate() {
+        let end = before.get(place + 1).map_or(last, |(next, _)| *next);
+        let Some(now) = state.poses[*keyframe].filter(|now| now != was) else { continue };
+        let moved = now * was.inverse();
+        for pose in state.poses[keyframe + 1..end].iter_mut().flatten() {
+            *pose = moved * *pose;
+        }
+    }
+}

@@ -1,0 +1,101 @@
+//! Poses as they are known when the frames come.
+
+use crate::scene::{camera, depth, moving, picture};
+use i2slam_geometry::{Image, Pose};
+use i2slam_odometry::{DepthPicture, FrameUpdate, FrontEnd, Intrinsics, TrackingStatus};
+
+const FRAMES: usize = 24;
+
+/// Updates of frames along a path, black where `is_covered`, with exact depth on demand.
+fn updates(
+    path: &[Pose<f64>],
+    with_depth: bool,
+    is_covered: impl Fn(usize) -> bool,
+) -> Vec<FrameUpdate> {
+    let mut front_end = FrontEnd::new(Intrinsics::Known(camera()));
+    let mut push = |(i, pose): (usize, &Pose<f64>)| {
+        let (width, height, timestamp) = (camera().width, camera().height, i as f64 / 30.0);
+        let colour = match is_covered(i) {
+            true => Image::new(width, height, 3),
+            false => picture(1, *pose, 1.0),
+        };
+        let measured = Image::from_fn(width, height, 1, |_, column, row| {
+            depth(*pose, [column as f64 + 0.5, row as f64 + 0.5]) as f32
+        });
+        let measured = with_depth.then_some(DepthPicture { depth: &measured, timestamp });
+        front_end.push(&colour, timestamp, measured.as_ref()).expect("a picture of that size")
+    };
+    path.iter().enumerate().map(&mut push).collect()
+}
+
+/// Largest error of the known places in the world of the first of them, over the path's length,
+/// with lengths scaled to the last one without depth.
+fn online_error(updates: &[FrameUpdate], path: &[Pose<f64>], is_metric: bool) -> f64 {
+    let posed: Vec<(Pose<f64>, Pose<f64>)> =
+        updates.iter().filter_map(|u| Some((u.pose?, path[u.frame]))).collect();
+    let ((first, there), (last, end)) = (posed[0], posed[posed.len() - 1]);
+    let length = (there.inverse() * end).translation.norm();
+    let scale = if is_metric { 1.0 } else { length / (first.inverse() * last).translation.norm() };
+    let error = |(found, truth): &(Pose<f64>, Pose<f64>)| {
+        let place = (first.inverse() * *found).translation * scale;
+        (place - (there.inverse() * *truth).translation).norm()
+    };
+    posed.iter().map(error).fold(0.0, f64::max) / length
+}
+
+fn path() -> Vec<Pose<f64>> {
+    (0..FRAMES).map(moving).collect()
+}
+
+#[test]
+fn with_depth_every_frame_has_a_metric_pose_at_once() {
+    let found = updates(&path(), true, |_| false);
+    assert!(found.iter().all(|update| update.status == TrackingStatus::Tracked));
+    let error = online_error(&found, &path(), true);
+    assert!(error < 0.01, "{error}");
+}
+
+#[test]
+fn by_colour_alone_frames_have_poses_from_the_first_parallax_on() {
+    let found = updates(&path(), false, |_| false);
+    let started = found.iter().position(|update| update.status == TrackingStatus::Tracked);
+    let started = started.expect("the map starts");
+    assert!((1..FRAMES / 2).contains(&started), "{started}");
+    assert!(
+        found[..started].iter().all(|update| {
+            update.pose.is_none() && update.status == TrackingStatus::Initializing
+        })
+    );
+    assert!(found[started..].iter().all(|update| update.pose.is_some()));
+    let error = online_error(&found, &path(), false);
+    assert!(error < 0.03, "{error}");
+}
+
+#[test]
+fn frames_behind_a_covered_lens_are_lost_and_the_place_is_found_again() {
+    // The camera comes back to where it was covered.
+    let path: Vec<Pose<f64>> = (0..16).chain(6..22).map(moving).collect();
+    for with_depth in [true, false] {
+        let found = updates(&path, with_depth, |i| (16..20).contains(&i));
+        let lost = |i: usize| found[i].status == TrackingStatus::Lost && found[i].pose.is_none();
+        assert!((16..20).all(lost), "{:?}", &found[14..22]);
+        // New points have a depth by colour alone only with the second keyframe that sees them.
+        let again = if with_depth { 21 } else { 28 };
+        assert!(
+            (again..32).all(|i| found[i].status == TrackingStatus::Tracked),
+            "{:?}",
+            &found[20..]
+        );
+        let error = online_error(&found, &path, with_depth);
+        assert!(error < 0.05, "{error}");
+    }
+}
+
+#[test]
+fn the_number_of_threads_changes_no_pose() {
+    let with_threads = |count: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(count).build().expect("threads");
+        pool.install(|| updates(&path()[..12], true, |_| false))
+    };
+    assert_eq!(with_threads(1), with_threads(2));
+}
