@@ -168,6 +168,10 @@ pub struct Reconstruction {
     pub camera: Camera<f64>,
     /// One estimate per processed frame, in order of time.
     pub frames: Vec<FrameEstimate>,
+    /// Poses at mid-exposure as they were known when their frames came, seen from the first of them,
+    /// with depth in metres and otherwise in a unit of their own; empty unless poses are those of
+    /// visual odometry with a known camera.
+    pub online_trajectory: Vec<StampedPose>,
     /// The map, in the frame of the first camera at mid-exposure.
     pub map: Map,
     /// Camera responses: one, or one per frame.

@@ -26,6 +26,9 @@ pub enum ResultError {
         /// The mistake and its place.
         message: String,
     },
+    /// A trajectory is none.
+    #[error(transparent)]
+    Trajectory(#[from] i2slam::dataset::DatasetError),
     /// `config.toml` has settings that no version knows.
     #[error(transparent)]
     Config(#[from] i2slam::ConfigError),

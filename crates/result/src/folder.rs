@@ -3,6 +3,7 @@
 use crate::error::read_text;
 use crate::pictures::DEPTH_UNITS_PER_METRE;
 use crate::{Metrics, ResultError, UnitOfLength, map, tables};
+use i2slam::dataset::read_trajectory;
 use i2slam::formation::tone::NODES;
 use i2slam::formation::{CameraResponse, NodeSpacing, StartCurve};
 use i2slam::geometry::{Camera, StampedPose};
@@ -15,6 +16,7 @@ use std::path::Path;
 /// Names in a result folder: those of `run`, and those that `eval` and `render` add.
 pub const NAMES: &[&str] = &[
     "trajectory.txt",
+    "trajectory_online.txt",
     "trajectory_shutter.txt",
     "trajectory_optimised.txt",
     "frames.csv",
@@ -42,6 +44,12 @@ pub fn save(folder: &OutputFolder, reconstruction: &Reconstruction) -> Vec<Resul
     let unit = UnitOfLength::of(&r.config);
     let steps = [
         folder.write_text("trajectory.txt", &tables::trajectory(&r.trajectory(), unit)),
+        match r.online_trajectory.as_slice() {
+            [] => Ok(()),
+            path => {
+                folder.write_text("trajectory_online.txt", &tables::online_trajectory(path, unit))
+            }
+        },
         folder.write_text("trajectory_shutter.txt", &tables::shutter_trajectory(&r.frames, unit)),
         folder.write_text("frames.csv", &tables::frames(&r.frames)),
         folder.write_text("config.toml", &r.config.to_toml()),
@@ -90,7 +98,7 @@ fn write_json(out: &mut dyn Write, value: &impl serde::Serialize) -> io::Result<
 }
 
 /// Reads what [`save`] wrote: `config.toml`, `camera.json`, `trajectory_shutter.txt`, `frames.csv`,
-/// `state.json` and `map.i2slam`. Settings that earlier versions had are ignored.
+/// `state.json` and `map.i2slam`, and `trajectory_online.txt` where it is there. Settings that earlier versions had are ignored.
 pub fn load(folder: &Path) -> Result<Reconstruction, ResultError> {
     let config_path = folder.join("config.toml");
     let config =
@@ -104,7 +112,17 @@ pub fn load(folder: &Path) -> Result<Reconstruction, ResultError> {
     let bytes =
         i2slam_storage::read(&map_path, MAX_MAP).map_err(|e| ResultError::read(&map_path, e))?;
     let map = map::read_native(&bytes).map_err(|m| ResultError::format(&map_path, m))?;
-    Ok(Reconstruction { config, camera, frames, map, responses, rolling_shutter_readout })
+    let online = folder.join("trajectory_online.txt");
+    let online_trajectory = if online.is_file() { read_trajectory(&online)? } else { Vec::new() };
+    Ok(Reconstruction {
+        config,
+        camera,
+        frames,
+        online_trajectory,
+        map,
+        responses,
+        rolling_shutter_readout,
+    })
 }
 
 /// Reads camera responses and the readout time of the rolling shutter [s].

@@ -51,6 +51,12 @@ pub(crate) fn trajectory(poses: &[StampedPose], unit: UnitOfLength) -> String {
     text
 }
 
+/// `trajectory_online.txt`: mid-exposure poses as they were known when the frames came.
+pub(crate) fn online_trajectory(poses: &[StampedPose], unit: UnitOfLength) -> String {
+    let poses = trajectory(poses, unit);
+    poses.replacen("at mid-exposure", "at mid-exposure, as known when the frame came", 1)
+}
+
 /// `trajectory_shutter.txt`: poses at shutter open and close, in full precision.
 pub(crate) fn shutter_trajectory(frames: &[FrameEstimate], unit: UnitOfLength) -> String {
     let unit = unit_label(unit);

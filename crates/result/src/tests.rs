@@ -4,7 +4,7 @@ use super::*;
 use i2slam::Config;
 use i2slam::config::MapKind;
 use i2slam::formation::{CameraResponse, FrameTone, NodeSpacing, ShutterPoses, StartCurve};
-use i2slam::geometry::{Camera, Pose, Rotation, Tangent, Vec3};
+use i2slam::geometry::{Camera, Pose, Rotation, StampedPose, Tangent, Vec3};
 use i2slam::radiance::gaussian::{ColourActivation, Gaussian, GaussianMap, Shape};
 use i2slam::radiance::hashgrid::{
     FieldSettings, HashGridField, HashGridMap, MarchSettings, Occupancy, OccupancySettings,
@@ -63,6 +63,12 @@ pub(crate) fn example(frames: usize) -> Reconstruction {
     Reconstruction {
         config: Config::preset("default").expect("a preset"),
         camera: Camera { width: 64, height: 48, fx: 60.1, fy: 59.9, cx: 32.2, cy: 24.7 },
+        online_trajectory: (frames / 2..frames)
+            .map(|i| {
+                let (timestamp, world_from_camera) = (frame(i).timestamp, frame(i).middle());
+                StampedPose { timestamp, world_from_camera }
+            })
+            .collect(),
         frames: (0..frames).map(frame).collect(),
         map: Map::Gaussians(map),
         responses: vec![response],
@@ -93,6 +99,11 @@ fn a_saved_folder_loads_as_it_was() {
     assert_eq!(after.camera, before.camera);
     assert_eq!(after.responses, before.responses);
     assert_eq!(after.config, before.config);
+    assert_eq!(after.online_trajectory.len(), 3);
+    for (a, b) in after.online_trajectory.iter().zip(&before.online_trajectory) {
+        let off = a.world_from_camera.local(b.world_from_camera).to_array();
+        assert!(off.iter().all(|v| v.abs() < 1e-7), "{a:?} {b:?}");
+    }
     assert_eq!(after.rolling_shutter_readout, before.rolling_shutter_readout);
     for (a, b) in after.frames.iter().zip(&before.frames) {
         assert_eq!((a.shutter, a.tone, a.losses), (b.shutter, b.tone, b.losses));
@@ -168,6 +179,7 @@ fn damage_is_named() {
     assert!(refusal("map.i2slam", b"ply\n").contains("not an i2slam file"));
     assert!(refusal("frames.csv", b"index,time\n").contains("column names"));
     assert!(refusal("trajectory_shutter.txt", b"0 1 2 nan\n").contains("line 1"));
+    assert!(refusal("trajectory_online.txt", b"0 1 2 nan\n").contains("1"));
     assert!(refusal("camera.json", b"{}").contains("width"));
     assert!(refusal("state.json", b"{\"format\":9,\"responses\":[]}").contains("format 9"));
     fs::remove_file(scratch.0.join("map.i2slam")).expect("a file");

@@ -4,7 +4,7 @@ use super::row_rectification::ReadoutMotion;
 use super::{EstimatedDepth, KeyframeSource, PictureError, PosedKeyframe};
 use i2slam_compute::CancellationToken;
 use i2slam_dataset::Frame;
-use i2slam_geometry::{Camera, Image, Pose};
+use i2slam_geometry::{Camera, Image, Pose, StampedPose};
 use i2slam_odometry::{
     DenseDepth, DenseDepthEstimator, DepthPicture, FrontEnd, Keyframe, KeyframePictures,
     MeasuredDepth, PoseDeviation, PosedView, Reconstruction,
@@ -197,6 +197,16 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
             Some((position, stamp, pose_of(found, frame)?))
         };
         (0..found.poses.len()).filter_map(posed).collect()
+    }
+
+    /// Poses as they were known when their frames came, seen from the first of them.
+    pub fn online_trajectory(&self) -> Vec<StampedPose> {
+        let mut path = self.reconstruction.online_trajectory();
+        let Some(world) = path.first().map(|first| first.world_from_camera.inverse()) else {
+            return path;
+        };
+        path.iter_mut().for_each(|p| p.world_from_camera = world * p.world_from_camera);
+        path
     }
 
     /// Deviations of poses: position in the sequence, deviation in the delivered unit.

@@ -10,7 +10,7 @@ use crate::reconstruction::Reconstruction;
 use crate::session::{Session, SessionError};
 use crate::warning::Warning;
 use i2slam_dataset::{Frame, Sequence};
-use i2slam_geometry::{Camera, Pose};
+use i2slam_geometry::{Camera, Pose, StampedPose};
 use i2slam_odometry::PoseDeviation;
 use std::collections::{BTreeMap, VecDeque};
 use std::fmt::Display;
@@ -44,6 +44,8 @@ pub(super) struct Input<'a> {
     pub(super) between: BetweenFrames,
     /// Index, stamp [s] and pose of all frames that have one.
     pub(super) path: Vec<(usize, f64, Pose<f64>)>,
+    /// Poses as they were known when their frames came.
+    pub(super) online_trajectory: Vec<StampedPose>,
     /// Deviations of poses that stay as the source gave them, by frame index.
     pub(super) deviations: BTreeMap<usize, PoseDeviation>,
     /// Frames of the sequence, those without a pose included.
@@ -93,6 +95,7 @@ impl<'a> Input<'a> {
             frame_rate: sequence.frame_rate,
             between: Box::new(std::iter::empty()),
             path: Vec::new(),
+            online_trajectory: Vec::new(),
             deviations: BTreeMap::new(),
             frames_given: sequence.len(),
             estimate: None,
@@ -167,6 +170,7 @@ pub(super) fn run<'a>(
         shortfalls.extend(few_poses.flatten());
     }
     let mut reconstruction = session.reconstruction();
+    reconstruction.online_trajectory = input.online_trajectory;
     // As set: a run from its own configuration would share the steps a second time.
     reconstruction.config.mapping.iterations = options.config.mapping.iterations;
     if reconstruction.config.parameters.frames.keeps_middle && !input.deviations.is_empty() {

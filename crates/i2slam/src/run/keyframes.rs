@@ -49,6 +49,7 @@ fn keyframes_of(
         frame_rate,
         between: Box::new(std::iter::empty()),
         path: Vec::new(),
+        online_trajectory: Vec::new(),
         deviations: BTreeMap::new(),
         frames_given: count,
         estimate: None,
@@ -81,6 +82,7 @@ pub(super) fn from_odometry(
         Some((sequence.entries.get(place)?.index, stamp, pose))
     };
     let path = source.trajectory().into_iter().filter_map(by_index).collect();
+    let online_trajectory = source.online_trajectory();
     let by_index = |(place, deviation): (usize, PoseDeviation)| {
         Some((sequence.entries.get(place)?.index, deviation))
     };
@@ -102,6 +104,7 @@ pub(super) fn from_odometry(
     Ok(Input {
         between,
         path,
+        online_trajectory,
         keyframes,
         frames_given: sequence.len(),
         estimate: Some(camera),

@@ -102,6 +102,7 @@ mod tests {
             reconstruction: Reconstruction {
                 config: Config::default(),
                 camera,
+                online_trajectory: Vec::new(),
                 frames: (0..tracked + lost).map(frame).collect(),
                 map: Map::default(),
                 responses: Vec::new(),

@@ -79,6 +79,7 @@ impl SessionState {
             config: config.clone(),
             camera: *camera,
             frames: self.frames.clone(),
+            online_trajectory: Vec::new(),
             map,
             responses: self.responses.clone(),
             rolling_shutter_readout,

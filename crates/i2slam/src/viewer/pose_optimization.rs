@@ -248,6 +248,7 @@ pub(crate) mod tests {
         Reconstruction {
             config: Config::default(),
             camera: Camera { width: 96, height: 72, fx: 90.0, fy: 90.0, cx: 48.0, cy: 36.0 },
+            online_trajectory: Vec::new(),
             frames: Vec::new(),
             map: Map::Gaussians(map),
             responses: vec![CameraResponse::new(3, StartCurve::Srgb, NodeSpacing::Uniform)],

@@ -5,7 +5,7 @@ use super::sparsity::BlockSparsity;
 use super::{Bundle, BundleObservation, FreeIntrinsics, GLOBALS, LANDMARKS_PER_TASK};
 use crate::multiview::landmark::Projection;
 use crate::multiview::lens_distortion::CameraJacobian;
-use crate::multiview::robust_loss::{HUBER_THRESHOLD, huber};
+use crate::multiview::robust_loss::{HUBER_THRESHOLD, huber, length};
 use i2slam_compute::reduce_in_order;
 use i2slam_geometry::{Mat3, Vec3};
 
@@ -74,7 +74,7 @@ pub(super) fn weighted_residual(
     let projection = bundle.landmarks[landmark].project(&bundle.camera, pose)?;
     let seen = observation.corrected(bundle.camera_change);
     let mut residual = [projection.at[0] - seen[0], projection.at[1] - seen[1], 0.0];
-    let length = residual[0].hypot(residual[1]) / observation.sigma;
+    let length = length([residual[0], residual[1]]) / observation.sigma;
     let weight = huber(length).0 / (observation.sigma * observation.sigma);
     let (mut weights, mut rows) = ([weight, weight, 0.0], 2);
     if let Some(depth) = &observation.depth {
@@ -233,7 +233,7 @@ pub(super) fn global_block(bundle: &Bundle, curvature: Curvature) -> GlobalBlock
 impl WeightedResidual {
     /// Keeps the derivatives across the residual: along it the Huber cost has no curvature.
     fn project_across_residual(&mut self) {
-        let length = self.residual[0].hypot(self.residual[1]);
+        let length = length([self.residual[0], self.residual[1]]);
         let across = [-self.residual[1] / length, self.residual[0] / length];
         let keep = |[x, y]: [&mut f64; 2]| {
             let slope = across[0] * *x + across[1] * *y;

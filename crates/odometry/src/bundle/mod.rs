@@ -26,7 +26,7 @@ pub(crate) use relative_pose::RelativePoseFactor;
 
 use crate::multiview::landmark::Landmark;
 use crate::multiview::lens_distortion::CameraJacobian;
-use crate::multiview::robust_loss::huber;
+use crate::multiview::robust_loss::{huber, length};
 use crate::progress::{Progress, Stage};
 use crate::track::tracks::DepthReading;
 use blocks::Curvature;
@@ -163,7 +163,7 @@ impl Bundle {
         let (pose, landmark) = (&self.poses[observation.pose], &self.landmarks[landmark]);
         let at = landmark.image_position(&self.camera, pose);
         let seen = observation.corrected(self.camera_change);
-        let length = |at: [f64; 2]| (at[0] - seen[0]).hypot(at[1] - seen[1]) / observation.sigma;
+        let length = |at: [f64; 2]| length([at[0] - seen[0], at[1] - seen[1]]) / observation.sigma;
         let of_position = huber(at.map_or(BEHIND_CAMERA_ERROR, length)).1;
         let Some(depth) = &observation.depth else { return of_position };
         let off = |z: f64| (z - depth.inverse).abs() / depth.sigma;

@@ -1,5 +1,6 @@
 //! Landmarks in inverse-depth parametrisation, and their projection.
 
+use crate::multiview::robust_loss::length;
 use crate::track::tracks::Observation;
 use i2slam_geometry::{Camera, Mat3, Pose, Similarity, Vec3};
 
@@ -140,7 +141,7 @@ pub(crate) const MAX_INLIER_ERROR: f64 = 5.0;
 /// Length of a match's reprojection error [standard deviations]; infinite behind the camera.
 pub(crate) fn reprojection_error(camera: &Camera<f64>, pose: &Pose<f64>, m: &Match<'_>) -> f64 {
     m.0.image_position(camera, pose)
-        .map_or(f64::INFINITY, |at| (at[0] - m.1.at[0]).hypot(at[1] - m.1.at[1]) / m.1.sigma)
+        .map_or(f64::INFINITY, |at| length([at[0] - m.1.at[0], at[1] - m.1.at[1]]) / m.1.sigma)
 }
 
 #[cfg(test)]

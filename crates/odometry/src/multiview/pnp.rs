@@ -1,7 +1,7 @@
 //! Perspective-n-point: the pose of a picture from known landmarks.
 
 use crate::multiview::landmark::{MAX_INLIER_ERROR, Match, reprojection_error};
-use crate::multiview::robust_loss::cauchy;
+use crate::multiview::robust_loss::{cauchy, length};
 use i2slam_compute::NormalEquations;
 use i2slam_geometry::{Camera, Pose, Tangent};
 
@@ -91,7 +91,7 @@ fn normal_equations(
             continue;
         };
         let r: [f64; 2] = std::array::from_fn(|i| p.at[i] - observation.at[i]);
-        let (weight, loss) = loss(r[0].hypot(r[1]) / observation.sigma);
+        let (weight, loss) = loss(length(r) / observation.sigma);
         cost += loss;
         for i in 0..2 {
             sum.add(&p.by_pose[i], r[i], weight / (observation.sigma * observation.sigma));

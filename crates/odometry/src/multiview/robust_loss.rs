@@ -3,6 +3,11 @@
 /// Residual at which Huber's loss (1964) turns linear [standard deviations].
 pub(crate) const HUBER_THRESHOLD: f64 = 1.5;
 
+/// Length of a residual. `f64::hypot` guards against overflow at ten times the cost.
+pub(crate) fn length([x, y]: [f64; 2]) -> f64 {
+    (x * x + y * y).sqrt()
+}
+
 /// Huber weight and cost of a residual of length `n` [standard deviations].
 pub(crate) fn huber(n: f64) -> (f64, f64) {
     if n <= HUBER_THRESHOLD {

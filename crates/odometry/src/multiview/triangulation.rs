@@ -1,7 +1,7 @@
 //! Triangulation of landmarks from cameras with known poses.
 
 use crate::multiview::landmark::{Landmark, reprojection_error};
-use crate::multiview::robust_loss::huber;
+use crate::multiview::robust_loss::{huber, length};
 use crate::track::tracks::Observation;
 use i2slam_compute::NormalEquations;
 use i2slam_geometry::{Camera, Pose, Vec3};
@@ -123,7 +123,7 @@ fn normal_equations(
     for (observation, pose) in observations {
         let p = landmark.project(camera, pose)?;
         let r: [f64; 2] = std::array::from_fn(|i| p.at[i] - observation.at[i]);
-        let (weight, loss) = huber(r[0].hypot(r[1]) / observation.sigma);
+        let (weight, loss) = huber(length(r) / observation.sigma);
         cost += loss;
         for i in 0..2 {
             sum.add(&p.by_landmark[i], r[i], weight / (observation.sigma * observation.sigma));

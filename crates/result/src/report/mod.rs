@@ -124,8 +124,9 @@ fn warning_items(warnings: &[Warning]) -> String {
 }
 
 /// Files of a result with their contents.
-const FILES: [(&str, &str); 14] = [
+const FILES: [(&str, &str); 15] = [
     ("trajectory.txt", "Camera path, TUM format, world from camera, mid-exposure"),
+    ("trajectory_online.txt", "Camera path as it was known when the frames came"),
     ("trajectory_shutter.txt", "Poses at shutter open and close"),
     ("frames.csv", "Frame by frame: exposure, white balance, blur, losses, times, size of the map"),
     ("camera_response.csv", "The response curve"),

@@ -47,8 +47,14 @@ pub(super) fn trajectory(report: &Report<'_>) -> String {
         UnitOfLength::Metre => ["to the right [m]", "forward [m]", "up [m]"],
         UnitOfLength::Unknown => ["to the right", "forward", "up (unit of length unknown)"],
     };
-    let mut out = path_view("From above", right, forward, &path, &truth, [0, 2]);
-    out += &path_view("From the side", forward, up, &path, &truth, [2, 1]);
+    // Without measured depth it has another unit of length.
+    let is_metric = report.metrics.unit_of_length == UnitOfLength::Metre;
+    let online = report.reconstruction.online_trajectory.iter().filter(|_| is_metric);
+    let online: Vec<[f64; 3]> =
+        online.map(|p| centre_in_first_camera(Pose::identity(), p.world_from_camera)).collect();
+    let paths = [&path, &truth, &online].map(Vec::as_slice);
+    let mut out = path_view("From above", [right, forward], paths, [0, 2]);
+    out += &path_view("From the side", [forward, up], paths, [2, 1]);
     if let Some(error) = position_error(frames, report.ground_truth) {
         out += &error.html();
     }
@@ -63,16 +69,18 @@ fn centre_in_first_camera(first_from_world: Pose<f64>, world_from_camera: Pose<f
 
 fn path_view(
     title: &str,
-    x_label: &str,
-    y_label: &str,
-    path: &[[f64; 3]],
-    truth: &[[f64; 3]],
+    [x_label, y_label]: [&str; 2],
+    [path, truth, online]: [&[[f64; 3]]; 3],
     [across, up]: [usize; 2],
 ) -> String {
     let flat = |path: &[[f64; 3]]| -> Points { path.iter().map(|p| (p[across], p[up])).collect() };
     let mut series = Vec::new();
     if !truth.is_empty() {
         series.push(Series::line("ground truth", "c2", flat(truth)).styled(Style::Under));
+    }
+    if !online.is_empty() {
+        let name = "known when frames came";
+        series.push(Series::line(name, "c3", flat(online)).styled(Style::Under));
     }
     series.push(Series::line("estimate", "c1", flat(path)));
     let ends = [("start", path.first()), ("end", path.last())];

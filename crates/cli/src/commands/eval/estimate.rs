@@ -53,6 +53,11 @@ impl Estimate {
         }
     }
 
+    /// Poses of a result as they were known when their frames came, if it has them.
+    pub(super) fn online_trajectory(&self) -> Option<PathBuf> {
+        self.result().map(|folder| folder.join("trajectory_online.txt")).filter(|f| f.is_file())
+    }
+
     /// Unit of length by the header of the trajectory; metres without one.
     pub(super) fn unit_of_length(&self) -> Result<UnitOfLength, Failure> {
         let Some(path) = self.trajectory() else { return Ok(UnitOfLength::Metre) };

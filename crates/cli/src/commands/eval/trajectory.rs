@@ -26,9 +26,20 @@ pub(super) struct TrajectoryErrors {
     absolute: TrajectoryError,
     #[serde(flatten)]
     relative: RelativePoseError,
+    /// Errors of the poses as they were known when their frames came.
+    #[serde(flatten)]
+    online: Option<OnlineErrors>,
     /// Frames of the run that have a true pose and no estimated one; `None` where the frames of the
     /// run are not known.
     frames_without_pose: Option<usize>,
+}
+
+/// Errors of the poses as they were known when their frames came, aligned by themselves.
+#[derive(Serialize)]
+struct OnlineErrors {
+    online_ate_rmse_m: f64,
+    online_ate_max_m: f64,
+    online_pairs: usize,
 }
 
 /// The true trajectory: the file given, or that of the dataset given.
@@ -59,7 +70,24 @@ pub(super) fn evaluate(
     let absolute = absolute_trajectory_error(&poses, truth, alignment, DEFAULT_TOLERANCE)?;
     let aligned = &absolute.aligned_estimate;
     let relative = relative_pose_error(aligned, truth, arguments.rpe, DEFAULT_TOLERANCE)?;
-    Ok(TrajectoryErrors { absolute, relative, frames_without_pose })
+    let online = online_errors(estimate, truth, alignment)?;
+    Ok(TrajectoryErrors { absolute, relative, online, frames_without_pose })
+}
+
+/// `None` without a `trajectory_online.txt`, or where that has too few true poses to be aligned.
+fn online_errors(
+    estimate: &Estimate,
+    truth: &[StampedPose],
+    alignment: Alignment,
+) -> Result<Option<OnlineErrors>, Failure> {
+    let Some(file) = estimate.online_trajectory() else { return Ok(None) };
+    let poses = read_trajectory(&file)?;
+    let errors = absolute_trajectory_error(&poses, truth, alignment, DEFAULT_TOLERANCE).ok();
+    Ok(errors.map(|errors| OnlineErrors {
+        online_ate_rmse_m: errors.ate_rmse_m,
+        online_ate_max_m: errors.ate_max_m,
+        online_pairs: errors.pairs,
+    }))
 }
 
 /// The alignment asked for, else by the unit of length of the trajectory.
@@ -134,6 +162,11 @@ impl TrajectoryErrors {
         ];
         let number = |value: f64| format!("{value:.4}");
         rows.extend(centimetres.map(|(name, metres)| row(name, number(100.0 * metres), " cm")));
+        rows.extend(self.online.iter().map(|online| {
+            let most = 100.0 * online.online_ate_max_m;
+            let rest = format!(" cm, largest {most:.4}, of {} poses", online.online_pairs);
+            row("ATE RMSE when frames came", number(100.0 * online.online_ate_rmse_m), &rest)
+        }));
         let over = match r.rpe_step {
             Step::Frames(1) => "a frame".to_owned(),
             Step::Frames(n) | Step::OverlappingFrames(n) => counted(n, "frame"),
