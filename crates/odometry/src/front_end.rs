@@ -21,6 +21,7 @@ use crate::relocalize::relocalization::{FailedPairs, relocalize};
 use crate::result::{Reconstruction, build_reconstruction};
 use crate::rolling_shutter::readout::{estimate_rolling_shutter, median_frame_interval};
 use crate::rolling_shutter::rolling_shutter_init::initialize_readout;
+use crate::segmentation::moving_tracks::leave_out_moving_objects;
 use crate::sfm_state::SfmState;
 use crate::track::tracker::{FrameReport, Tracker};
 use crate::track::tracks::{Tracks, repeated_frame};
@@ -142,9 +143,13 @@ impl FrontEnd {
         let adjust_focal = !matches!(self.intrinsics, Intrinsics::Known(_));
         let Self { intrinsics, picture_checks, map, tracker, close_loops: closes_loops } = self;
         let online_poses = map.poses;
-        let mut state = initial_state(map.state, tracker.tracks, &intrinsics, &is_repeat);
-        state.progress = progress.clone();
-        let found = estimate_path(&mut state, adjust_focal, &timestamps);
+        let mut state = initial_state(
+            SfmState { progress: progress.clone(), ..map.state },
+            tracker.tracks,
+            &intrinsics,
+            &is_repeat,
+        );
+        let found = estimate_path(&mut state, adjust_focal);
         // A cancelled search may look like any other failure.
         if progress.is_cancelled() {
             return Err(OdometryError::Cancelled);
@@ -193,39 +198,50 @@ fn register_depth_pictures(state: &mut SfmState, adjust_focal: bool) {
 }
 
 /// The state that adjustment begins with: the map so far where there is one with depth, or else the
-/// tracks alone.
+/// tracks alone, without those of large moving objects; a map that holds some is bent by them.
 fn initial_state(
     online: SfmState,
     tracks: Tracks,
     intrinsics: &Intrinsics,
     is_repeat: &[bool],
 ) -> SfmState {
-    if online.has_depth() && !online.posed_frames().is_empty() {
-        return SfmState { tracks: online.tracks.with_two_keyframes(), ..online };
-    }
     let own_pictures = is_repeat.iter().filter(|repeat| !**repeat).count();
     let tracks = match own_pictures < MIN_FRAMES {
         true => tracks,
         false => tracks.without_repeats(is_repeat),
     };
-    let SfmState { timestamps, depth_maps, pictures, .. } = online;
-    let estimates_distortion = matches!(intrinsics, Intrinsics::GuessWithDistortion(_));
-    let empty = SfmState::new(*intrinsics.camera(), tracks.with_two_keyframes());
-    let mut state = SfmState { timestamps, depth_maps, pictures, estimates_distortion, ..empty };
+    let mut state = SfmState {
+        timestamps: Arc::clone(&online.timestamps),
+        depth_maps: Arc::clone(&online.depth_maps),
+        pictures: Arc::clone(&online.pictures),
+        progress: online.progress.clone(),
+        estimates_distortion: matches!(intrinsics, Intrinsics::GuessWithDistortion(_)),
+        ..SfmState::new(*intrinsics.camera(), tracks.with_two_keyframes())
+    };
     read_depth(&mut state);
+    correct_rows(&mut state);
+    if leave_out_moving_objects(&mut state) {
+        correct_rows(&mut state);
+    } else if online.has_depth() && !online.posed_frames().is_empty() {
+        state = SfmState { tracks: online.tracks.with_two_keyframes(), ..online };
+        if state.readout == 0.0 {
+            correct_rows(&mut state);
+        }
+    }
     state
 }
 
-/// Initial readout, focal length, and the map.
-fn estimate_path(
-    state: &mut SfmState,
-    adjust_focal: bool,
-    timestamps: &[f64],
-) -> Result<(), OdometryError> {
-    if !state.estimates_distortion && state.readout == 0.0 {
+/// Corrects the rows of all observations for the readout that explains the rotations best.
+fn correct_rows(state: &mut SfmState) {
+    if !state.estimates_distortion {
+        let timestamps = Arc::clone(&state.timestamps);
         state.readout =
-            initialize_readout(&mut state.tracks, &state.camera, timestamps, &state.progress);
+            initialize_readout(&mut state.tracks, &state.camera, &timestamps, &state.progress);
     }
+}
+
+/// Focal length and the map.
+fn estimate_path(state: &mut SfmState, adjust_focal: bool) -> Result<(), OdometryError> {
     if adjust_focal {
         search_focal_length(state)?;
     }

@@ -17,6 +17,7 @@
 //! | `multiview` | geometry of few views: landmarks, lens distortion, triangulation, PnP, essential matrix |
 //! | `bundle` | bundle adjustment and the covariance of the intrinsics |
 //! | `sfm_state` | camera, poses, landmarks and tracks so far |
+//! | `segmentation` | tracks of large moving objects, left out of the map |
 //! | `register` | initialization, registration of all other frames, dense constraints |
 //! | `intrinsics` | search for the focal length, observability of focal length and distortion |
 //! | `rolling_shutter` | estimation of the readout, correction of image positions |
@@ -66,6 +67,13 @@ mod multiview {
 
 mod bundle;
 mod sfm_state;
+
+mod segmentation {
+    pub(crate) mod least_median;
+    pub(crate) mod moving_tracks;
+    pub(crate) mod picture_share;
+    pub(crate) mod relative_motion;
+}
 
 mod register {
     pub(crate) mod dense_constraints;

@@ -8,7 +8,7 @@ use crate::multiview::landmark::{Landmark, MAX_INLIER_ERROR, Match, reprojection
 use crate::multiview::lens_distortion::{CameraJacobian, distortion_jacobian, undistort};
 use crate::multiview::triangulation::{PosedObservation, triangulate};
 use crate::progress::Progress;
-use crate::track::tracks::{DepthReading, Observation, Tracks, shared_positions};
+use crate::track::tracks::{DepthReading, Observation, Track, Tracks, shared_positions};
 use i2slam_compute::median;
 use i2slam_geometry::{Camera, Image, Pose};
 use rayon::prelude::*;
@@ -30,6 +30,8 @@ pub(crate) const MAX_JOINT_POSES: usize = 1000;
 pub(crate) struct SfmState {
     pub(crate) camera: Camera<f64>,
     pub(crate) tracks: Tracks,
+    /// Tracks of large moving objects, which have no landmarks.
+    pub(crate) moving_tracks: Arc<Vec<Track>>,
     /// Tracks of every frame.
     pub(crate) by_frame: Arc<Vec<Vec<usize>>>,
     /// `world_from_camera` of every registered frame.
@@ -69,6 +71,7 @@ impl SfmState {
         Self {
             camera,
             tracks,
+            moving_tracks: Arc::default(),
             by_frame,
             poses,
             left_out: Vec::new(),
@@ -187,7 +190,7 @@ impl SfmState {
 
     /// Number of tracks with at least three observations in the frames from `first` to `last`.
     pub(crate) fn tracked_points_within(&self, [first, last]: [usize; 2]) -> usize {
-        let seen = |track: &&crate::track::tracks::Track| {
+        let seen = |track: &&Track| {
             let within = |o: &&Observation| (first..=last).contains(&o.frame);
             track.observations.iter().filter(within).count() > 2
         };

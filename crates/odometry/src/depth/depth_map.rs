@@ -40,6 +40,18 @@ impl DepthMap {
         Self { depth: Arc::new(depth), step: 1 << halvings, timestamp: picture.timestamp }
     }
 
+    /// Drops the readings of blocks of the picture.
+    pub(crate) fn clear(&mut self, blocks: &Image<bool>) {
+        let depth = Arc::make_mut(&mut self.depth);
+        let (width, height) = (depth.width, depth.height);
+        for (i, value) in depth.data.iter_mut().enumerate() {
+            let (column, row) = (i % width, i / width);
+            if blocks.at(0, column * blocks.width / width, row * blocks.height / height) {
+                *value = 0.0;
+            }
+        }
+    }
+
     /// Inverse depth at a position of the picture [px], interpolated between four readings of one
     /// surface; `None` without.
     pub(crate) fn inverse_at(&self, at: [f64; 2]) -> Option<f64> {

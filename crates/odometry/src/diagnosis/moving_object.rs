@@ -1,129 +1,32 @@
 //! Moving objects: parts of the picture whose points contradict the pose persistently.
 
+use crate::segmentation::picture_share::{MovingPart, moving_share, persistent_parts};
 use crate::sfm_state::SfmState;
-use i2slam_compute::median;
 
-/// Cells of the picture, across and down.
-const CELLS: [usize; 2] = [8, 6];
-/// Points of a cell that is judged, and of a track, at least.
-const MIN_POINTS: usize = 3;
+/// Observations of a track that is judged, at least.
 const MIN_OBSERVATIONS: usize = 4;
-/// Frames on each side of a frame whose median share counts.
-const MEDIAN_RADIUS: usize = 4;
-/// Share of the picture from which something is told: on sequences without moving objects the
-/// median share over nine frames stays below half of it.
-const MIN_SHARE: f64 = 0.1;
-/// Frames for which it lasts, at least.
-const MIN_FRAMES: usize = 10;
 
-/// Share of the picture that moves on its own, over frames from `first` to `last`.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct MovingPart {
-    pub(crate) frames: [usize; 2],
-    /// Median over the frames, in [0, 1].
-    pub(crate) share: f64,
-}
-
-/// Parts of a sequence in which a large share of the picture does not move with the rest.
+/// Parts of a sequence in which a large share of the picture does not move with the rest: points
+/// that were left out as moving, and those that no landmark explains.
 pub(crate) fn moving_parts(state: &SfmState) -> Vec<MovingPart> {
+    let mut moving = vec![Vec::new(); state.poses.len()];
+    for o in state.moving_tracks.iter().flat_map(|track| &track.observations) {
+        moving[o.frame].push((o.raw, true));
+    }
     let posed = state.posed_frames();
-    let shares = posed.into_iter().map(|frame| (frame, moving_share(state, frame)));
-    persistent_parts(&shares.collect::<Vec<_>>())
+    let share = |frame: usize| {
+        let points = explained_points(state, frame).chain(moving[frame].iter().copied());
+        (frame, moving_share(&state.camera, points))
+    };
+    persistent_parts(&posed.into_iter().map(share).collect::<Vec<_>>())
 }
 
-/// Share of the cells in a frame that the largest connected part takes where most points have no
-/// landmark that explains them: an object is in one piece, errors of poses are scattered.
-fn moving_share(state: &SfmState, frame: usize) -> f64 {
-    let mut cells = [(0, 0); CELLS[0] * CELLS[1]];
-    let size = [state.camera.width, state.camera.height];
-    for (track, observation) in state.observations_in(frame) {
+/// Positions of the points in a frame [px], and whether no landmark explains them.
+fn explained_points(state: &SfmState, frame: usize) -> impl Iterator<Item = ([f64; 2], bool)> + '_ {
+    let is_judged = |track: usize| {
         let seen = &state.tracks.tracks[track].observations;
-        if seen.iter().filter(|o| state.poses[o.frame].is_some()).count() < MIN_OBSERVATIONS {
-            continue;
-        }
-        let [column, row] = [0, 1].map(|i| {
-            let cell = observation.raw[i] / size[i] as f64 * CELLS[i] as f64;
-            (cell.max(0.0) as usize).min(CELLS[i] - 1)
-        });
-        let (points, unexplained) = &mut cells[row * CELLS[0] + column];
-        *points += 1;
-        *unexplained += usize::from(state.landmarks[track].is_none() || observation.is_outlier);
-    }
-    let is_judged = cells.map(|(points, _)| points >= MIN_POINTS);
-    let judged = is_judged.iter().filter(|judged| **judged).count();
-    let moves = |(i, (points, unexplained)): (usize, &(usize, usize))| {
-        is_judged[i] && 2 * unexplained > *points
+        seen.iter().filter(|o| state.poses[o.frame].is_some()).count() >= MIN_OBSERVATIONS
     };
-    let moving: Vec<bool> = cells.iter().enumerate().map(moves).collect();
-    largest_part(&moving) as f64 / judged.max(1) as f64
-}
-
-/// Number of cells of the largest part that is connected across sides.
-fn largest_part(cells: &[bool]) -> usize {
-    let mut left = cells.to_vec();
-    let mut largest = 0;
-    for start in 0..left.len() {
-        let (mut open, mut size) = (vec![start], 0);
-        while let Some(cell) = open.pop() {
-            if !std::mem::take(&mut left[cell]) {
-                continue;
-            }
-            size += 1;
-            let (column, row) = (cell % CELLS[0], cell / CELLS[0]);
-            open.extend((column > 0).then(|| cell - 1));
-            open.extend((column + 1 < CELLS[0]).then_some(cell + 1));
-            open.extend((row > 0).then(|| cell - CELLS[0]));
-            open.extend((row + 1 < CELLS[1]).then_some(cell + CELLS[0]));
-        }
-        largest = largest.max(size);
-    }
-    largest
-}
-
-/// Runs of frames around which the median share is large.
-fn persistent_parts(shares: &[(usize, f64)]) -> Vec<MovingPart> {
-    let around = |place: usize| {
-        let end = (place + MEDIAN_RADIUS + 1).min(shares.len());
-        let mut near: Vec<f64> = shares[place.saturating_sub(MEDIAN_RADIUS)..end]
-            .iter()
-            .map(|(_, share)| *share)
-            .collect();
-        median(&mut near).unwrap_or(0.0)
-    };
-    let smooth: Vec<(usize, f64)> =
-        shares.iter().enumerate().map(|(place, (frame, _))| (*frame, around(place))).collect();
-    let runs = smooth.chunk_by(|a, b| (a.1 >= MIN_SHARE) == (b.1 >= MIN_SHARE));
-    let part = |run: &[(usize, f64)]| {
-        let mut shares: Vec<f64> = run.iter().map(|(_, share)| *share).collect();
-        let frames = [run[0].0, run[run.len() - 1].0];
-        MovingPart { frames, share: median(&mut shares).unwrap_or(0.0) }
-    };
-    runs.filter(|run| run[0].1 >= MIN_SHARE && run.len() >= MIN_FRAMES).map(part).collect()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_largest_part_is_connected_across_sides() {
-        let cells = |set: &[usize]| (0..48).map(|i| set.contains(&i)).collect::<Vec<_>>();
-        assert_eq!(largest_part(&cells(&[])), 0);
-        // Cells 7 and 8 are neighbours in the list alone, 0 and 9 across a corner.
-        assert_eq!(largest_part(&cells(&[0, 9, 7, 8])), 3);
-        assert_eq!(largest_part(&cells(&[10, 11, 19, 27, 26, 40])), 5);
-    }
-
-    #[test]
-    fn what_lasts_is_told_and_what_flickers_is_not() {
-        let found = |share: fn(usize) -> f64| {
-            persistent_parts(&(0..60).map(|i| (2 * i, share(i))).collect::<Vec<_>>())
-        };
-        let lasting = |i: usize| if (20..40).contains(&i) { 0.25 } else { 0.03 };
-        let parts = found(lasting);
-        assert_eq!(parts, [MovingPart { frames: [40, 78], share: 0.25 }]);
-        assert_eq!(found(|i| if i % 4 == 0 { 0.3 } else { 0.04 }), []);
-        assert_eq!(found(|i| if (20..24).contains(&i) { 0.3 } else { 0.04 }), []);
-        assert_eq!(persistent_parts(&[]), []);
-    }
+    let observations = state.observations_in(frame).filter(move |(track, _)| is_judged(*track));
+    observations.map(|(track, o)| (o.raw, state.landmarks[track].is_none() || o.is_outlier))
 }

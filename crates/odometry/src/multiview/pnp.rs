@@ -47,6 +47,16 @@ pub(crate) fn solve_pnp_minimal(
     minimize(camera, start, matches, |n| (1.0, n * n))
 }
 
+/// The pose of least Cauchy loss of some width [standard deviations], from `start` on.
+pub(crate) fn refine_pnp(
+    camera: &Camera<f64>,
+    start: Pose<f64>,
+    matches: &[Match<'_>],
+    width: f64,
+) -> Pose<f64> {
+    minimize(camera, start, matches, |n| cauchy(n, width))
+}
+
 /// Levenberg-Marquardt on the six parameters of a pose.
 fn minimize(
     camera: &Camera<f64>,

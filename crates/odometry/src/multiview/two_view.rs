@@ -98,7 +98,7 @@ pub(crate) fn estimate_relative_pose(
 }
 
 /// A uniformly random direction.
-fn random_direction(random: &mut Random) -> Vec3<f64> {
+pub(crate) fn random_direction(random: &mut Random) -> Vec3<f64> {
     let z = 2.0 * random.uniform() - 1.0;
     let (sine, cosine) = (std::f64::consts::TAU * random.uniform()).sin_cos();
     let r = (1.0 - z * z).max(0.0).sqrt();
@@ -106,7 +106,7 @@ fn random_direction(random: &mut Random) -> Vec3<f64> {
 }
 
 /// Epipolar distance to first order (Sampson; Hartley and Zisserman, eq. 11.9), in rays.
-fn sampson(pose: &Pose<f64>, pair: &RayPair) -> f64 {
+pub(crate) fn sampson(pose: &Pose<f64>, pair: &RayPair) -> f64 {
     let (e, norm) = epipolar(pose, pair);
     e / norm
 }
@@ -121,7 +121,7 @@ fn epipolar(pose: &Pose<f64>, (first, second): &RayPair) -> (f64, f64) {
 }
 
 /// Gauss-Newton on rotation and direction, the gradient's length kept fixed within a step.
-fn refine_relative_pose(
+pub(crate) fn refine_relative_pose(
     ray_pairs: &[RayPair],
     start: Pose<f64>,
     steps: usize,

@@ -1,8 +1,9 @@
 //! Wrong input is told with its frames; a clean sequence brings no warning.
 
-use crate::scene::{camera, moving, picture, texture, tracked};
+use crate::relative_error;
+use crate::scene::{camera, depth, moving, picture, texture, tracked};
 use i2slam_geometry::{Camera, Image};
-use i2slam_odometry::{Intrinsics, Progress, Reconstruction, Warning};
+use i2slam_odometry::{DepthPicture, FrontEnd, Intrinsics, Progress, Reconstruction, Warning};
 
 const FRAMES: usize = 30;
 
@@ -56,25 +57,69 @@ fn shuffled_pictures_are_told() {
     assert_eq!(found.warnings, [Warning::ShuffledFrames { frames: [10, 15] }]);
 }
 
-/// A disc with a pattern of its own, which crosses a fifth of the picture against the camera.
-#[test]
-fn a_large_moving_object_is_told() {
-    let disc = |i: usize, out: &mut Image<f32>| {
-        let t = i as f64;
-        let (x, y) = (45.0 + 3.5 * t, 72.0 + 14.0 * (0.35 * t).sin());
-        let (width, pixels) = (out.width, out.pixels());
-        for pixel in 0..pixels {
-            let (u, v) = Camera::<f64>::pixel_centre(pixel % width, pixel / width);
-            if (u - x).hypot(v - y) < 42.0 {
-                let value = texture(77, (u - x) / 70.0, (v - y) / 70.0) as f32;
-                (0..3).for_each(|channel| out.data[channel * pixels + pixel] = value);
-            }
+/// Whether a disc over a fifth of the picture, which crosses it against the camera, covers a place.
+fn is_on_disc(i: usize, at: [f64; 2]) -> bool {
+    let [x, y] = disc(i);
+    (at[0] - x).hypot(at[1] - y) < 42.0
+}
+
+fn disc(i: usize) -> [f64; 2] {
+    let t = i as f64;
+    [45.0 + 3.5 * t, 72.0 + 14.0 * (0.35 * t).sin()]
+}
+
+/// A picture of the room behind the disc, which has a pattern of its own.
+fn picture_with_disc(i: usize) -> Image<f32> {
+    let (mut out, [x, y]) = (picture(3, moving(i), 1.0), disc(i));
+    let (width, pixels) = (out.width, out.pixels());
+    for pixel in 0..pixels {
+        let (u, v) = Camera::<f64>::pixel_centre(pixel % width, pixel / width);
+        if is_on_disc(i, [u, v]) {
+            let value = texture(77, (u - x) / 70.0, (v - y) / 70.0) as f32;
+            (0..3).for_each(|channel| out.data[channel * pixels + pixel] = value);
         }
-    };
-    let found = found(|i| i, disc);
+    }
+    out
+}
+
+/// Depth of the room behind the disc.
+fn depth_with_disc(i: usize) -> Image<f32> {
+    Image::from_fn(camera().width, camera().height, 1, |_, column, row| {
+        let (u, v) = Camera::<f64>::pixel_centre(column, row);
+        if is_on_disc(i, [u, v]) { 0.8 } else { depth(moving(i), [u, v]) as f32 }
+    })
+}
+
+fn assert_told(found: &Reconstruction) {
     let told = found.warnings.iter().find_map(|warning| match warning {
         Warning::MovingObject { share, .. } => Some(*share),
         _ => None,
     });
     assert!(told.is_some_and(|share| (0.1..0.5).contains(&share)), "{:?}", found.warnings);
+}
+
+#[test]
+fn a_large_moving_object_is_told_and_left_out_by_colour_alone() {
+    let front_end = tracked(Intrinsics::Known(camera()), (0..FRAMES).map(picture_with_disc));
+    let found = front_end.finish(Progress::default()).expect("a path");
+    assert_told(&found);
+    let error = relative_error(&found, moving);
+    assert!(error < 0.02, "{error}");
+}
+
+#[test]
+fn a_large_moving_object_is_told_and_left_out_with_depth() {
+    let mut front_end = FrontEnd::new(Intrinsics::Known(camera()));
+    for i in 0..FRAMES {
+        let (timestamp, depth) = (i as f64 / 30.0, depth_with_disc(i));
+        let depth = DepthPicture { depth: &depth, timestamp };
+        front_end.push(&picture_with_disc(i), timestamp, Some(&depth)).expect("they fit");
+    }
+    let found = front_end.finish(Progress::default()).expect("a path");
+    assert_told(&found);
+    let first = moving(0).inverse();
+    for (i, pose) in found.poses.iter().enumerate() {
+        let off = (pose.expect("a pose") * (first * moving(i)).inverse()).translation.norm();
+        assert!(off < 0.005, "frame {i} is off by {off} m");
+    }
 }
