@@ -26,7 +26,7 @@ const MIN_MEASURED_AREA: f64 = 0.75;
 /// Least deviation of errors, as a ratio of that which the tracker claims: points that slide along an
 /// edge err by more, and together. Distances from epipolar lines show a part of the motion alone.
 const MIN_RIGID_DEVIATION: f64 = 2.0;
-const MIN_EPIPOLAR_DEVIATION: f64 = 1.0;
+const MIN_EPIPOLAR_DEVIATION: f64 = 0.7;
 /// Width of the loss that refines a motion [deviations of the errors].
 const REFINEMENT_WIDTH: f64 = 2.0;
 /// Increase of the median error up to which a refined motion is preferred.
