@@ -223,7 +223,8 @@ fn initial_state(
     if leave_out_moving_objects(&mut state) {
         correct_rows(&mut state);
     } else if online.has_depth() && !online.posed_frames().is_empty() {
-        state = SfmState { tracks: online.tracks.with_two_keyframes(), ..online };
+        let tracks = online.tracks.with_two_keyframes();
+        state = SfmState { tracks, relative_poses: Arc::default(), ..online };
         if state.readout == 0.0 {
             correct_rows(&mut state);
         }

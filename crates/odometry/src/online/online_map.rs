@@ -6,6 +6,7 @@
 
 use crate::depth::readings::read_depth_in;
 use crate::multiview::landmark::reprojection_error;
+use crate::register::dense_constraints::{RECENT_KEYFRAMES, RecentKeyframes};
 use crate::register::initialization::initialize;
 use crate::register::registration::{
     adjust_globally, adjust_nearest, estimate_pose, register_keyframes, register_remaining_frames,
@@ -49,6 +50,7 @@ pub(crate) struct OnlineMap {
     /// `world_from_camera` of every frame as it was known when the frame came.
     pub(crate) poses: Vec<Option<Pose<f64>>>,
     failed: FailedPairs,
+    recent_keyframes: RecentKeyframes,
     /// Keyframes at the last adjustment of all of them.
     adjusted_keyframes: usize,
 }
@@ -56,8 +58,13 @@ pub(crate) struct OnlineMap {
 impl OnlineMap {
     /// An empty map.
     pub(crate) fn new(state: SfmState) -> Self {
-        let (poses, failed) = (Vec::new(), FailedPairs::default());
-        Self { state, poses, failed, adjusted_keyframes: 0 }
+        Self {
+            state,
+            poses: Vec::new(),
+            failed: FailedPairs::default(),
+            recent_keyframes: RecentKeyframes::default(),
+            adjusted_keyframes: 0,
+        }
     }
 
     /// Adds the last frame of the tracker, whose timestamp, depth and picture the state has already.
@@ -111,7 +118,10 @@ impl OnlineMap {
         }
         register_keyframes(state, false, usize::MAX);
         adjust_globally(state, false);
-        self.adjusted_keyframes = state.posed_frames().len();
+        let posed = state.posed_frames();
+        self.adjusted_keyframes = posed.len();
+        let recent = posed.iter().skip(posed.len().saturating_sub(RECENT_KEYFRAMES));
+        recent.for_each(|frame| self.recent_keyframes.align(state, *frame));
         register_remaining_frames(state);
     }
 
@@ -147,6 +157,9 @@ impl OnlineMap {
         if state.poses[frame].is_none() && !relocalize(state, &mut self.failed) {
             return;
         }
+        if state.poses[frame].is_some() {
+            self.recent_keyframes.align(state, frame);
+        }
         let before = posed_keyframes(state);
         let adjusted_at = &mut self.adjusted_keyframes;
         state.with_keyframes_alone(|state| {
@@ -177,8 +190,10 @@ impl OnlineMap {
             return;
         }
         let mut other = self.clone();
+        other.recent_keyframes = RecentKeyframes::default();
         let state = &mut other.state;
         state.reset();
+        state.relative_poses = Arc::default();
         correct_observations(state, &timestamps, 0.0, interval);
         state.readout =
             initialize_readout(&mut state.tracks, &state.camera, &timestamps, &state.progress);

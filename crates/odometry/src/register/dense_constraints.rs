@@ -12,11 +12,15 @@ use crate::rolling_shutter::readout::{camera_velocity, median_frame_interval};
 use crate::sfm_state::SfmState;
 use i2slam_geometry::{Camera, Image, Pose, Tangent};
 use rayon::prelude::*;
+use std::collections::VecDeque;
+use std::fmt::{self, Debug, Formatter};
 use std::ops::Range;
 use std::sync::Arc;
 
 /// Keyframes before and after one that it is aligned to.
 const KEYFRAME_REACH: usize = 3;
+/// Keyframes to which a new one is aligned when it comes.
+pub(crate) const RECENT_KEYFRAMES: usize = 2;
 /// Share of the frame interval for which the shutter is taken to be open: the difference of the
 /// blur of two pictures is a small correction.
 const OPEN_SHARE: f64 = 0.5;
@@ -96,6 +100,32 @@ fn frames_around(keyframes: &[usize], place: usize, frames: usize) -> Vec<usize>
     near.chain(later).collect()
 }
 
+/// Prepared pictures of the last keyframes, to which a new one is aligned.
+#[derive(Clone, Default)]
+pub(crate) struct RecentKeyframes(VecDeque<(usize, Arc<PreparedView>)>);
+
+impl Debug for RecentKeyframes {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        f.debug_list().entries(self.0.iter().map(|(frame, _)| frame)).finish()
+    }
+}
+
+impl RecentKeyframes {
+    /// Aligns a new keyframe to the last ones.
+    pub(crate) fn align(&mut self, state: &mut SfmState, frame: usize) {
+        let Some(view) = PreparedView::new(state, frame) else { return };
+        let aligned = |(reference, known): &(usize, Arc<PreparedView>)| {
+            constraint(state, (*reference, known), (frame, &view))
+        };
+        let found: Vec<_> = self.0.par_iter().filter_map(aligned).collect();
+        Arc::make_mut(&mut state.relative_poses).extend(found);
+        self.0.push_back((frame, Arc::new(view)));
+        if self.0.len() > RECENT_KEYFRAMES {
+            self.0.pop_front();
+        }
+    }
+}
+
 /// Relative pose of a frame in a reference; `None` if they do not align.
 fn constraint(
     state: &SfmState,
@@ -109,7 +139,7 @@ fn constraint(
 }
 
 /// A frame prepared for alignment.
-struct PreparedView {
+pub(crate) struct PreparedView {
     pictures: DensePyramid,
     motion: ExposureMotion,
 }
