@@ -16,7 +16,7 @@ pub(crate) struct PnpSolution {
     pub(crate) inliers: usize,
 }
 
-/// The pose of least robust cost from `start` on; residuals are `noise` times as large as their
+/// The pose of least robust cost from `start` on; residuals of positions are `noise` times as large as their
 /// deviations say. `None` for fewer than six matches.
 pub(crate) fn solve_pnp(
     camera: &Camera<f64>,
@@ -29,7 +29,7 @@ pub(crate) fn solve_pnp(
     }
     let mut pose = start;
     for width in LOSS_WIDTHS {
-        pose = minimize(camera, pose, matches, |n| cauchy(n, noise * width));
+        pose = minimize(camera, pose, (matches, noise), |n| cauchy(n, noise * width));
     }
     let inliers = matches
         .iter()
@@ -44,7 +44,7 @@ pub(crate) fn solve_pnp_minimal(
     start: Pose<f64>,
     matches: &[Match<'_>],
 ) -> Pose<f64> {
-    minimize(camera, start, matches, |n| (1.0, n * n))
+    minimize(camera, start, (matches, 1.0), |n| (1.0, n * n))
 }
 
 /// The pose of least Cauchy loss of some width [standard deviations], from `start` on.
@@ -61,15 +61,15 @@ pub(crate) fn refine_pnp(
 fn minimize(
     camera: &Camera<f64>,
     start: Pose<f64>,
-    matches: &[Match<'_>],
+    (matches, noise): (&[Match<'_>], f64),
     loss: impl Fn(f64) -> (f64, f64),
 ) -> Pose<f64> {
     let (mut pose, mut damping) = (start, 1e-4);
-    let mut equations = normal_equations(camera, &pose, matches, &loss);
+    let mut equations = normal_equations(camera, &pose, (matches, noise), &loss);
     for _ in 0..MAX_STEPS {
         let Some(step) = equations.step(damping) else { break };
         let tried = pose.retract(Tangent::from_array(step));
-        let next = normal_equations(camera, &tried, matches, &loss);
+        let next = normal_equations(camera, &tried, (matches, noise), &loss);
         if next.cost < equations.cost {
             let gained = equations.cost - next.cost;
             (pose, equations, damping) = (tried, next, damping * 0.2);
@@ -86,11 +86,13 @@ fn minimize(
     pose
 }
 
-/// Sums over all matches with the loss as cost, that of 100 deviations behind the camera.
+/// Sums over positions and measured depths of all matches with the loss as cost, that of 100
+/// deviations behind the camera. Positions are `noise` times as far off as their deviations say,
+/// depths as far as theirs.
 fn normal_equations(
     camera: &Camera<f64>,
     pose: &Pose<f64>,
-    matches: &[Match<'_>],
+    (matches, noise): (&[Match<'_>], f64),
     loss: &impl Fn(f64) -> (f64, f64),
 ) -> NormalEquations<6> {
     let mut sum = NormalEquations::default();
@@ -101,10 +103,16 @@ fn normal_equations(
             continue;
         };
         let r: [f64; 2] = std::array::from_fn(|i| p.at[i] - observation.at[i]);
-        let (weight, loss) = loss(length(r) / observation.sigma);
-        cost += loss;
+        let (weight, of_position) = loss(length(r) / observation.sigma);
+        cost += of_position;
         for i in 0..2 {
             sum.add(&p.by_pose[i], r[i], weight / (observation.sigma * observation.sigma));
+        }
+        if let Some(depth) = &observation.depth {
+            let (r, sigma) = (p.inverse_depth - depth.inverse, depth.sigma / noise);
+            let (weight, of_depth) = loss(r.abs() / sigma);
+            cost += of_depth;
+            sum.add(&p.by_pose[2], r, weight / (sigma * sigma));
         }
     }
     sum.cost = cost;

@@ -125,14 +125,12 @@ impl OnlineMap {
         register_remaining_frames(state);
     }
 
-    /// Registers a frame to the map, first with the rows corrected for the predicted velocity.
+    /// Registers a frame to the map, first with rows and depth for the predicted velocity.
     fn register(&mut self, frame: usize, interval: f64) {
+        self.state.poses[frame] = predicted_pose(&self.state, frame);
+        self.measure_again(frame, interval);
         let state = &mut self.state;
-        if state.readout != 0.0 {
-            state.poses[frame] = predicted_pose(state, frame);
-            correct_rows(state, frame, interval);
-            state.poses[frame] = None;
-        }
+        state.poses[frame] = None;
         state.poses[frame] = estimate_pose(state, frame).map(|found| found.world_from_camera);
         self.measure_again(frame, interval);
         // Its velocity is known from both sides now.
