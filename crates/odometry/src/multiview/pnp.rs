@@ -54,7 +54,7 @@ pub(crate) fn refine_pnp(
     matches: &[Match<'_>],
     width: f64,
 ) -> Pose<f64> {
-    minimize(camera, start, matches, |n| cauchy(n, width))
+    minimize(camera, start, (matches, 1.0), |n| cauchy(n, width))
 }
 
 /// Levenberg-Marquardt on the six parameters of a pose.
