@@ -115,8 +115,10 @@ impl FrontEnd {
             }
         }
         self.picture_checks.add(picture);
+        // Neither needs what the other finds.
+        let (FrameReport { is_cut, is_keyframe }, ()) =
+            rayon::join(|| self.tracker.track(picture), || self.map.extend());
         self.map.state.add_input(picture, timestamp, depth);
-        let FrameReport { is_cut, is_keyframe } = self.tracker.track(picture);
         let (frame, is_repeat) = (self.tracker.tracks.frames - 1, &self.picture_checks.is_repeat);
         let status = match self.intrinsics {
             Intrinsics::Known(_) => self.map.add_frame(&self.tracker, is_repeat),
@@ -133,7 +135,8 @@ impl FrontEnd {
     /// # Errors
     ///
     /// The reason why there is no path; [`OdometryError::Cancelled`] after cancellation.
-    pub fn finish(self, progress: Progress) -> Result<Reconstruction, OdometryError> {
+    pub fn finish(mut self, progress: Progress) -> Result<Reconstruction, OdometryError> {
+        self.map.extend();
         let timestamps = Arc::clone(&self.map.state.timestamps);
         let frames = timestamps.len();
         if frames < MIN_FRAMES {

@@ -28,7 +28,7 @@ const INITIALIZATION_WINDOW: usize = 12;
 /// Growth of the number of keyframes at which all are adjusted.
 const GLOBAL_ADJUSTMENT_GROWTH: f64 = 1.3;
 /// Frames after which the readout is looked for.
-const READOUT_ESTIMATES: [usize; 7] = [6, 10, 15, 20, 30, 60, 120];
+const READOUT_ESTIMATES: [usize; 6] = [6, 10, 20, 30, 60, 120];
 /// Frames up to which another readout starts the map anew: rows were some pixels off.
 const MAX_RESTART_FRAMES: usize = 30;
 
@@ -51,6 +51,8 @@ pub(crate) struct OnlineMap {
     pub(crate) poses: Vec<Option<Pose<f64>>>,
     failed: FailedPairs,
     recent_keyframes: RecentKeyframes,
+    /// The last frame, if it is a keyframe by which the map is to be extended.
+    pending_keyframe: Option<usize>,
     /// Keyframes at the last adjustment of all of them.
     adjusted_keyframes: usize,
 }
@@ -63,6 +65,7 @@ impl OnlineMap {
             poses: Vec::new(),
             failed: FailedPairs::default(),
             recent_keyframes: RecentKeyframes::default(),
+            pending_keyframe: None,
             adjusted_keyframes: 0,
         }
     }
@@ -77,9 +80,6 @@ impl OnlineMap {
         }
         let interval = median_frame_interval(&self.state.timestamps).unwrap_or(0.0);
         let is_keyframe = tracker.tracks.keyframes.last() == Some(&frame);
-        if READOUT_ESTIMATES.contains(&frame) {
-            self.estimate_readout(interval);
-        }
         if !self.is_started() {
             self.measure_again(frame, interval);
             if is_keyframe {
@@ -87,12 +87,26 @@ impl OnlineMap {
             }
         } else {
             self.register(frame, interval);
-            if is_keyframe {
-                self.add_keyframe(frame, interval);
+            if is_keyframe && self.state.poses[frame].is_none() {
+                relocalize(&mut self.state, &mut self.failed);
             }
+            let is_posed = self.state.poses[frame].is_some();
+            self.pending_keyframe = (is_keyframe && is_posed).then_some(frame);
         }
         self.poses.push(self.state.poses[frame]);
         self.status()
+    }
+
+    /// Extends the map by the last frame if it was a keyframe, and looks for the readout where that is
+    /// due. It needs no new picture, so that it may run while the next one is tracked.
+    pub(crate) fn extend(&mut self) {
+        let interval = median_frame_interval(&self.state.timestamps).unwrap_or(0.0);
+        if let Some(frame) = self.pending_keyframe.take() {
+            self.add_keyframe(frame, interval);
+        }
+        if READOUT_ESTIMATES.contains(&self.state.poses.len()) {
+            self.estimate_readout(interval);
+        }
     }
 
     /// Whether there is a map.
@@ -145,19 +159,13 @@ impl OnlineMap {
         read_depth_in(&mut self.state, frame);
     }
 
-    /// Adds the landmarks of a keyframe and adjusts the keyframes around it; one without a pose is
-    /// relocalized.
+    /// Adds the landmarks of a keyframe and adjusts the keyframes around it.
     fn add_keyframe(&mut self, frame: usize, interval: f64) {
         for earlier in frame.saturating_sub(BACKWARD_FRAMES)..frame {
             self.measure_again(earlier, interval);
         }
         let state = &mut self.state;
-        if state.poses[frame].is_none() && !relocalize(state, &mut self.failed) {
-            return;
-        }
-        if state.poses[frame].is_some() {
-            self.recent_keyframes.align(state, frame);
-        }
+        self.recent_keyframes.align(state, frame);
         let before = posed_keyframes(state);
         let adjusted_at = &mut self.adjusted_keyframes;
         state.with_keyframes_alone(|state| {

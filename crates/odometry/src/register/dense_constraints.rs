@@ -20,7 +20,7 @@ use std::sync::Arc;
 /// Keyframes before and after one that it is aligned to.
 const KEYFRAME_REACH: usize = 3;
 /// Keyframes to which a new one is aligned when it comes.
-pub(crate) const RECENT_KEYFRAMES: usize = 2;
+pub(crate) const RECENT_KEYFRAMES: usize = 1;
 /// Share of the frame interval for which the shutter is taken to be open: the difference of the
 /// blur of two pictures is a small correction.
 const OPEN_SHARE: f64 = 0.5;

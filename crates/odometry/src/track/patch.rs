@@ -6,6 +6,7 @@
 
 use i2slam_compute::solve_positive_definite;
 use i2slam_geometry::Image;
+use pulp::Arch;
 
 /// Half the side of a patch [px].
 pub(crate) const RADIUS: usize = 7;
@@ -15,8 +16,9 @@ const AREA: usize = SIDE * SIDE;
 /// Side of a patch with one more pixel on every side, for central differences.
 const WIDE: usize = SIDE + 2;
 const MAX_ITERATIONS: usize = 15;
-/// Update at which the iteration ends [px].
-const MIN_UPDATE: f32 = 0.01;
+/// Update at which the iteration ends [px]: where the position is measured, and where it is a start.
+pub(crate) const FINE_UPDATE: f32 = 0.01;
+pub(crate) const COARSE_UPDATE: f32 = 0.1;
 /// Added to the squared length of the picture's patch, so that flat ones match nothing.
 const CONTRAST_FLOOR: f32 = 1e-4;
 
@@ -77,6 +79,11 @@ pub(crate) struct PatchMatch {
 impl<const N: usize> PatchTemplate<N> {
     /// The patch around `centre`; `None` without texture to align.
     pub(crate) fn new(image: &Image<f32>, centre: [f32; 2]) -> Option<Self> {
+        Arch::new().dispatch(|| Self::prepare(image, centre))
+    }
+
+    #[inline(always)]
+    fn prepare(image: &Image<f32>, centre: [f32; 2]) -> Option<Self> {
         let wide = sample_patch::<WIDE>(image, &AffineWarp::translation(centre));
         let at = |i: usize, dx: usize, dy: usize| wide[i / SIDE + dy][i % SIDE + dx];
         let values: [f32; AREA] = std::array::from_fn(|i| at(i, 1, 1));
@@ -98,8 +105,24 @@ impl<const N: usize> PatchTemplate<N> {
         (norm > 1e-3).then_some(Self { basis, inverse, norm })
     }
 
-    /// Aligns the patch with `image` from `start` on; `None` if the iteration diverges.
-    pub(crate) fn align(&self, image: &Image<f32>, start: AffineWarp) -> Option<PatchMatch> {
+    /// Aligns the patch with `image` from `start` on, until an update is below `min_update` [px];
+    /// `None` if the iteration diverges.
+    pub(crate) fn align(
+        &self,
+        image: &Image<f32>,
+        start: AffineWarp,
+        min_update: f32,
+    ) -> Option<PatchMatch> {
+        Arch::new().dispatch(|| self.iterate(image, start, min_update))
+    }
+
+    #[inline(always)]
+    fn iterate(
+        &self,
+        image: &Image<f32>,
+        start: AffineWarp,
+        min_update: f32,
+    ) -> Option<PatchMatch> {
         let mut warp = start;
         let mut correlation = 0.0;
         for _ in 0..MAX_ITERATIONS {
@@ -123,13 +146,14 @@ impl<const N: usize> PatchTemplate<N> {
             if !is_inside(image, warp.centre) {
                 return None;
             }
-            if d[0].hypot(d[1]) < MIN_UPDATE {
+            if d[0] * d[0] + d[1] * d[1] < min_update * min_update {
                 break;
             }
         }
         Some(PatchMatch { warp, correlation })
     }
 
+    #[inline(always)]
     fn correlation(&self, products: &[f32; N], values: &[f32; AREA]) -> f32 {
         let squares = dot(values, values) - products[1] * products[1] / AREA as f32;
         products[0] / (self.norm * (squares.max(0.0) + CONTRAST_FLOOR).sqrt())
@@ -137,6 +161,7 @@ impl<const N: usize> PatchTemplate<N> {
 }
 
 /// Inverse of the matrix of inner products, each basis vector scaled to length 1 while inverting.
+#[inline(always)]
 fn inverse_normal_matrix<const N: usize>(basis: &[[f32; AREA]]) -> Option<[[f32; N]; N]> {
     let lengths: [f64; N] = std::array::from_fn(|k| f64::from(dot(&basis[k], &basis[k])).sqrt());
     if lengths.iter().any(|l| *l < 1e-4) {
@@ -165,6 +190,7 @@ fn inverse_normal_matrix<const N: usize>(basis: &[[f32; AREA]]) -> Option<[[f32;
 }
 
 /// Inner product in eight partial sums, so that it compiles to vector instructions.
+#[inline(always)]
 pub(crate) fn dot<const N: usize>(a: &[f32; N], b: &[f32; N]) -> f32 {
     let mut lanes = [0.0_f32; 8];
     for (a, b) in a.chunks_exact(8).zip(b.chunks_exact(8)) {
@@ -181,6 +207,7 @@ fn is_inside(image: &Image<f32>, at: [f32; 2]) -> bool {
 }
 
 /// The picture under a warp, `S x S` rows and columns, its border repeated.
+#[inline(always)]
 fn sample_patch<const S: usize>(image: &Image<f32>, warp: &AffineWarp) -> [[f32; S]; S] {
     let half = (S / 2) as f32;
     let first = warp.centre.map(|v| v - half - 0.5);
@@ -208,6 +235,7 @@ fn sample_patch<const S: usize>(image: &Image<f32>, warp: &AffineWarp) -> [[f32;
 }
 
 /// [`sample_patch`] for a translation inside the picture: all pixels share their weights.
+#[inline(always)]
 fn sample_translated<const S: usize>(image: &Image<f32>, first: [f32; 2]) -> [[f32; S]; S] {
     let (column, row) = (first[0] as usize, first[1] as usize);
     let (u, v) = (first[0] - column as f32, first[1] - row as f32);
@@ -241,7 +269,7 @@ mod tests {
     fn aligned<const N: usize>(image: &Image<f32>) -> PatchMatch {
         let still = waves(|x, y| (x, y), 1.0, 0.0);
         let template = PatchTemplate::<N>::new(&still, [30.0, 24.0]).expect("textured");
-        template.align(image, AffineWarp::translation([30.0, 24.0])).expect("found")
+        template.align(image, AffineWarp::translation([30.0, 24.0]), FINE_UPDATE).expect("found")
     }
 
     #[test]
