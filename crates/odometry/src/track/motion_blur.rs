@@ -16,12 +16,8 @@ use rayon::prelude::*;
 pub(crate) const SHARES: [f32; 5] = [0.0, 0.25, 0.5, 0.75, 1.0];
 /// Length of a box below which pictures count as equally sharp [px].
 const MIN_LENGTH: f32 = 2.0;
-/// Share of what earlier frames told about the shutter that is kept per comparison: exposure
-/// drifts.
+/// Share of what earlier frames told about the shutter that is kept per frame: exposure drifts.
 const MEMORY: f64 = 0.9;
-/// Fast frames that are compared one by one, and distance of later ones.
-const FIRST_COMPARISONS: usize = 8;
-const COMPARISON_INTERVAL: usize = 4;
 /// Two pictures brought to equal blur.
 #[derive(Clone, Debug)]
 pub(crate) enum EqualBlur {
@@ -53,22 +49,9 @@ impl EqualBlur {
 pub(crate) struct ShutterShare {
     /// Gain in correlation with each of [`SHARES`] over that with the first.
     gains: [f64; SHARES.len()],
-    /// Frames that were compared, and fast frames that were not since then.
-    compared: usize,
-    skipped: usize,
 }
 
 impl ShutterShare {
-    /// Whether another fast frame is to be compared: each of the first ones, then every fourth.
-    pub(crate) fn is_due(&mut self) -> bool {
-        let is_due = self.compared < FIRST_COMPARISONS || self.skipped + 1 >= COMPARISON_INTERVAL;
-        (self.compared, self.skipped) = match is_due {
-            true => (self.compared + 1, 0),
-            false => (self.compared, self.skipped + 1),
-        };
-        is_due
-    }
-
     /// Adds the mean correlations of one frame's points with each of [`SHARES`].
     pub(crate) fn add(&mut self, correlations: [f64; SHARES.len()]) {
         for (gain, correlation) in self.gains.iter_mut().zip(correlations) {

@@ -134,8 +134,7 @@ impl Tracker {
         let follow = |p: &TrackedPoint| follow_point(p.warp, p.is_followed, pair, next.shift);
         let followed: Vec<FollowedPoint> = self.points.par_iter().map(follow).collect();
         let motion = self.picture_motion(&followed).unwrap_or(next.shift);
-        let is_fast = motion[0].hypot(motion[1]) >= MIN_SHUTTER_MOTION;
-        if is_fast && self.shutter.is_due() {
+        if motion[0].hypot(motion[1]) >= MIN_SHUTTER_MOTION {
             self.compare_shutter_shares(&followed, &next.pyramid, motion);
         }
         next.blur = motion.map(|v| v * self.shutter.value());
