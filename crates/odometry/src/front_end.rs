@@ -48,7 +48,7 @@ pub struct FrontEnd {
     close_loops: bool,
 }
 
-/// What is known of a frame when it has come.
+/// Pose and status of a frame at the time when it came.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FrameUpdate {
     /// Its index among the accepted pictures.
@@ -115,7 +115,7 @@ impl FrontEnd {
             }
         }
         self.picture_checks.add(picture);
-        // Neither needs what the other finds.
+        // Points are followed without the map, and the map grows by pictures that were tracked already.
         let (FrameReport { is_cut, is_keyframe }, ()) =
             rayon::join(|| self.tracker.track(picture), || self.map.extend());
         self.map.state.add_input(picture, timestamp, depth);

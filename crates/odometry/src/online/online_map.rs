@@ -9,7 +9,8 @@ use crate::multiview::landmark::reprojection_error;
 use crate::register::dense_constraints::{RECENT_KEYFRAMES, RecentKeyframes};
 use crate::register::initialization::initialize;
 use crate::register::registration::{
-    adjust_globally, adjust_nearest, estimate_pose, register_keyframes, register_remaining_frames,
+    GLOBAL_ADJUSTMENT_GROWTH, adjust_globally, adjust_nearest, estimate_pose, register_keyframes,
+    register_remaining_frames,
 };
 use crate::relocalize::relocalization::{FailedPairs, relocalize};
 use crate::rolling_shutter::readout::{
@@ -25,8 +26,6 @@ use std::sync::Arc;
 
 /// Keyframes among which the first pair of a map is searched.
 const INITIALIZATION_WINDOW: usize = 12;
-/// Growth of the number of keyframes at which all are adjusted.
-const GLOBAL_ADJUSTMENT_GROWTH: f64 = 1.3;
 /// Frames after which the readout is looked for.
 const READOUT_ESTIMATES: [usize; 6] = [6, 10, 20, 30, 60, 120];
 /// Frames up to which another readout starts the map anew: rows were some pixels off.
@@ -109,7 +108,7 @@ impl OnlineMap {
         }
     }
 
-    /// Whether there is a map.
+    /// True from the first landmarks on.
     pub(crate) fn is_started(&self) -> bool {
         self.adjusted_keyframes > 0
     }
@@ -230,7 +229,8 @@ impl OnlineMap {
         move_with_keyframes(state, &before);
     }
 
-    /// Median residual of all keyframes over the share of observations that are explained.
+    /// Median residual of all keyframes [standard deviations] over the number of inliers: a map that
+    /// explains fewer points fits them better.
     fn misfit(&self) -> f64 {
         let (state, mut all, mut explained) = (&self.state, Vec::new(), 0);
         for frame in &state.tracks.keyframes {

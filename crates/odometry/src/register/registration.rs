@@ -13,7 +13,7 @@ const MIN_INLIER_RATIO: f64 = 0.5;
 /// Poses that are adjusted after each new one.
 const LOCAL_WINDOW: usize = 8;
 /// Growth of the number of poses at which all are adjusted.
-const GLOBAL_ADJUSTMENT_GROWTH: f64 = 1.3;
+pub(crate) const GLOBAL_ADJUSTMENT_GROWTH: f64 = 1.3;
 /// Distance in keyframes from a registered one within which keyframes are tried first.
 const NEIGHBOURHOOD: usize = 3;
 /// Frames up to which all are adjusted jointly every time.
