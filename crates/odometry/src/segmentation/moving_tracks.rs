@@ -12,7 +12,8 @@ use i2slam_geometry::Image;
 use rayon::prelude::*;
 use std::sync::Arc;
 
-/// Distances of the frames that are compared, and step between the first frames of pairs.
+/// Distances of the frames that are compared, and step between the first frames of pairs, counted in
+/// frames with observations: those that repeat another have none.
 const FRAME_GAPS: [usize; 3] = [2, 4, 8];
 const STEP: usize = 2;
 /// Ratio of a track's pairs in which it deviates from which on it may be of an object.
@@ -25,12 +26,14 @@ const BLOCKS: [usize; 2] = [40, 30];
 /// Moves the tracks of large moving objects from those of the map to
 /// [`SfmState::moving_tracks`], and drops the depth of objects; returns whether there are any.
 pub(crate) fn leave_out_moving_objects(state: &mut SfmState) -> bool {
-    let is_moving = smoothed(state, &deviating_tracks(state));
+    let observed: Vec<usize> =
+        (0..state.tracks.frames).filter(|frame| !state.by_frame[*frame].is_empty()).collect();
+    let is_moving = smoothed(state, &deviating_tracks(state, &observed));
     let share = |frame: usize| {
         let points = state.observations_in(frame).map(|(track, o)| (o.raw, is_moving[track]));
         (frame, moving_share(&state.camera, points))
     };
-    let parts = persistent_parts(&(0..state.tracks.frames).map(share).collect::<Vec<_>>());
+    let parts = persistent_parts(&observed.into_iter().map(share).collect::<Vec<_>>());
     let is_inside = |track: &Track| {
         let inside =
             |frame: usize| parts.iter().any(|p| (p.frames[0]..=p.frames[1]).contains(&frame));
@@ -53,13 +56,12 @@ pub(crate) fn leave_out_moving_objects(state: &mut SfmState) -> bool {
     true
 }
 
-/// Whether tracks deviate from the motion of most of the picture; `None` if they are in no pair.
-fn deviating_tracks(state: &SfmState) -> Vec<Option<bool>> {
-    let frames = state.tracks.frames;
-    let pairs: Vec<(usize, usize)> = FRAME_GAPS
-        .iter()
-        .flat_map(|gap| (0..frames.saturating_sub(*gap)).step_by(STEP).map(move |f| (f, f + gap)))
-        .collect();
+/// Whether tracks deviate from the motion of most of the picture, in pairs of the `observed` frames;
+/// `None` if they are in no pair.
+fn deviating_tracks(state: &SfmState, observed: &[usize]) -> Vec<Option<bool>> {
+    let of_gap = |gap: usize| observed.iter().zip(observed.iter().skip(gap)).step_by(STEP);
+    let pairs: Vec<(usize, usize)> =
+        FRAME_GAPS.into_iter().flat_map(of_gap).map(|(a, b)| (*a, *b)).collect();
     let votes = |(first, second): &(usize, usize)| -> Vec<(usize, bool)> {
         if state.progress.is_cancelled() {
             return Vec::new();
@@ -240,6 +242,21 @@ mod tests {
                     / map.depth.data.len() as f64;
                 assert!((0.15..0.45).contains(&share), "{share} of the depth is dropped");
             }
+        }
+    }
+
+    /// Every second frame repeats the one before or behind, and has no observations.
+    #[test]
+    fn an_object_is_left_out_of_material_at_twice_its_rate() {
+        for offset in [0, 1] {
+            let (mut state, _) = state(true, false);
+            for o in state.tracks.tracks.iter_mut().flat_map(|track| &mut track.observations) {
+                o.frame = 2 * o.frame + offset;
+            }
+            state.tracks.frames = 2 * FRAMES;
+            state.by_frame = Arc::new(state.tracks.tracks_by_frame());
+            assert!(leave_out_moving_objects(&mut state), "observations at 2 i + {offset}");
+            assert!(10 * state.moving_tracks.len() >= 9 * OBJECT_POINTS);
         }
     }
 
