@@ -255,6 +255,8 @@ fn keyframes_with_depth(state: &SfmState, timestamps: &[f64]) -> Vec<Keyframe> {
     // Poses stay, and take no room among the unknowns.
     bundle.fixed.fill(true);
     let noise_scale = state.residual_scale().unwrap_or(1.0);
+    // Variances are multiplied by the squared scale, which is for positions alone.
+    bundle.scale_depth_deviations(state.noise_scale / noise_scale.max(f64::MIN_POSITIVE));
     let mut variances = vec![None; state.landmarks.len()];
     for (track, variance) in tracks.iter().zip(bundle.inverse_depth_variances()) {
         variances[*track] = variance;
@@ -318,8 +320,35 @@ fn weighted_median_inverse_depth(depths: &[SparseDepth]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fixtures::camera;
-    use crate::track::tracks::Tracks;
+    use crate::fixtures::{self, camera};
+    use crate::track::tracks::{DepthReading, Tracks};
+    use i2slam_geometry::Vec3;
+
+    /// A camera at rest sees no parallax: depth is as precise as its one reading, whether the
+    /// tracker claims too little or too much.
+    #[test]
+    fn the_variance_of_a_measured_depth_is_that_of_the_sensor() {
+        for error in [0.05, 0.4, 2.5] {
+            let observe = |point: Vec3<f64>, _: usize, n: &[f64]| {
+                let (u, v) = camera().project(point);
+                Some([u + error * n[0], v + error * n[1]])
+            };
+            let mut state = fixtures::state((8, 30, 1), [100.0; 2], |_| Pose::identity(), observe);
+            for (index, track) in state.tracks.tracks.iter_mut().enumerate() {
+                let inverse = 0.4 + 0.001 * index as f64;
+                track.observations[0].depth = Some(DepthReading { inverse, sigma: 0.01 });
+            }
+            state.landmarks.fill(None);
+            state.triangulate_missing();
+            state.update_noise_scale();
+            let timestamps: Vec<f64> = (0..8).map(f64::from).collect();
+            let keyframes = keyframes_with_depth(&state, &timestamps);
+            let mut deviations: Vec<f64> =
+                keyframes[0].depths.iter().map(|d| inverse_depth(d).1).collect();
+            let usual = median(&mut deviations).expect("landmarks");
+            assert!((usual / 0.01).ln().abs() < 0.1, "{usual} with {error} px");
+        }
+    }
 
     /// Precise points decide even where most lie before the lens; a precise near one stays.
     #[test]

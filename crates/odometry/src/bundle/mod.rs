@@ -139,6 +139,12 @@ impl Bundle {
         cost / self.observations.iter().map(Vec::len).sum::<usize>().max(1) as f64
     }
 
+    /// Multiplies the standard deviations of all measured depths.
+    pub(crate) fn scale_depth_deviations(&mut self, by: f64) {
+        let observations = Arc::make_mut(&mut self.observations).iter_mut().flatten();
+        observations.filter_map(|o| o.depth.as_mut()).for_each(|depth| depth.sigma *= by);
+    }
+
     /// Variance of every landmark's inverse depth with poses fixed; `None` where it is not defined.
     pub(crate) fn inverse_depth_variances(&self) -> Vec<Option<f64>> {
         let sparsity = BlockSparsity::new(self);
