@@ -92,6 +92,14 @@ pub enum PictureError {
         /// Those of the camera's pictures [px].
         expected: [usize; 2],
     },
+    /// Depth with a timestamp that is not a number.
+    #[error(
+        "depth with timestamp {timestamp} s: expected a number of seconds by the clock of the pictures"
+    )]
+    DepthStamp {
+        /// Timestamp of the depth picture [s].
+        timestamp: f64,
+    },
     /// Timestamp not above the one before.
     #[error("timestamp {timestamp} s after {last} s: timestamps must increase")]
     Stamp {

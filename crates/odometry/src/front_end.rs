@@ -35,6 +35,9 @@ const CONVERGED_CHANGE: f64 = 1e-3;
 const MAX_ADJUSTMENT_ROUNDS: usize = 5;
 /// Searches for offset and delay of depth pictures.
 const DEPTH_CALIBRATION_ROUNDS: usize = 3;
+/// Time between a depth picture and its colour picture up to which it is used, a frame interval
+/// where that is longer [s]: it is read for the velocity of the camera, which hands change within.
+const MAX_DEPTH_DELAY: f64 = 0.1;
 /// Shorter side of a picture, at least [px].
 pub const MIN_SIDE: usize = 48;
 
@@ -82,6 +85,9 @@ impl FrontEnd {
     /// one. With a known camera its pose is known from the moment on when the map has started: at once
     /// with depth, and after some motion by colour alone.
     ///
+    /// Depth taken more than a tenth of a second and more than a frame interval from its picture is
+    /// left out, and told ([`DepthNotInTime`](crate::Warning::DepthNotInTime)).
+    ///
     /// # Errors
     ///
     /// A picture that does not fit is refused; the state stays as it was.
@@ -107,14 +113,20 @@ impl FrontEnd {
         if !timestamp.is_finite() || timestamp <= last {
             return Err(PictureError::Stamp { timestamp, last });
         }
-        if let Some(DepthPicture { depth, .. }) = depth {
+        if let Some(&DepthPicture { depth, timestamp }) = depth {
             let (channels, values) = (depth.channels, depth.data.len());
             let size = [depth.width, depth.height];
             if size != expected || channels != 1 || values != depth.pixels() {
                 return Err(PictureError::Depth { size, expected });
             }
+            if !timestamp.is_finite() {
+                return Err(PictureError::DepthStamp { timestamp });
+            }
         }
-        self.picture_checks.add(picture);
+        let delay = depth.map(|depth| (depth.timestamp - timestamp).abs());
+        let left_out = delay.filter(|delay| !self.is_in_time(*delay));
+        let depth = depth.filter(|_| left_out.is_none());
+        self.picture_checks.add(picture, left_out);
         // Points are followed without the map, and the map grows by pictures that were tracked already.
         let (FrameReport { is_cut, is_keyframe }, ()) =
             rayon::join(|| self.tracker.track(picture), || self.map.extend());
@@ -128,6 +140,12 @@ impl FrontEnd {
         };
         let pose = self.map.poses.last().copied().flatten();
         Ok(FrameUpdate { frame, pose, status, is_cut, is_keyframe })
+    }
+
+    /// Whether depth taken so far from its colour picture [s] is used.
+    fn is_in_time(&self, delay: f64) -> bool {
+        let interval = || median_frame_interval(&self.map.state.timestamps);
+        delay <= MAX_DEPTH_DELAY || interval().is_some_and(|interval| delay <= interval)
     }
 
     /// Reconstructs the camera path from all pictures so far.

@@ -66,6 +66,17 @@ pub enum Warning {
         /// Share of the picture, in [0, 1].
         share: f64,
     },
+    /// Depth pictures that were left out, because they were taken long before or after their colour
+    /// pictures.
+    #[error(
+        "{count} depth pictures were taken {seconds:.2} s from their colour pictures (median) and are not used: give every picture the depth nearest in time, by one clock"
+    )]
+    DepthNotInTime {
+        /// Number of depth pictures.
+        count: usize,
+        /// Median of the time in between [s].
+        seconds: f64,
+    },
     /// Consecutive frames, as in a fast turn, that hardly bind the scale of the path behind them to
     /// that before.
     #[error(

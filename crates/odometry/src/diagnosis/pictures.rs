@@ -1,5 +1,7 @@
 //! Checks of the pictures themselves: one colour, and repetitions of the picture before.
 
+use crate::warning::Warning;
+use i2slam_compute::median;
 use i2slam_geometry::Image;
 
 /// Mean value below which a picture is black, about a step of eight bits.
@@ -19,15 +21,24 @@ pub(crate) struct PictureChecks {
     pub(crate) is_repeat: Vec<bool>,
     /// Whether a frame's picture is black or of one colour.
     pub(crate) is_blank: Vec<bool>,
+    /// Times from the pictures to depth that was left out [s].
+    pub(crate) depth_delays: Vec<f64>,
 }
 
 impl PictureChecks {
-    /// Looks at the next picture.
-    pub(crate) fn add(&mut self, picture: &Image<f32>) {
+    /// Looks at the next picture, whose depth was left out if it was taken so far from it [s].
+    pub(crate) fn add(&mut self, picture: &Image<f32>, depth_delay: Option<f64>) {
         let is_blank = blank_reason(picture).is_some();
         self.is_repeat.push(!is_blank && is_repetition(&self.last, picture));
         self.is_blank.push(is_blank);
         self.last.clone_from(picture);
+        self.depth_delays.extend(depth_delay);
+    }
+
+    /// Warning of depth that was left out.
+    pub(crate) fn depth_warning(&self) -> Option<Warning> {
+        let seconds = median(&mut self.depth_delays.clone())?;
+        Some(Warning::DepthNotInTime { count: self.depth_delays.len(), seconds })
     }
 }
 
@@ -83,7 +94,7 @@ mod tests {
             grey,
             picture(0.0, 5).resized_by_area(20, 15),
         ] {
-            checks.add(&next);
+            checks.add(&next, None);
         }
         assert_eq!(checks.is_repeat, [false, false, true, false, true, false, false, false]);
         assert_eq!(checks.is_blank, [false, false, false, false, false, true, true, false]);

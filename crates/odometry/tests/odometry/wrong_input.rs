@@ -3,7 +3,9 @@
 use crate::relative_error;
 use crate::scene::{camera, depth, moving, picture, texture, tracked};
 use i2slam_geometry::{Camera, Image};
-use i2slam_odometry::{DepthPicture, FrontEnd, Intrinsics, Progress, Reconstruction, Warning};
+use i2slam_odometry::{
+    DepthPicture, FrontEnd, Intrinsics, PictureError, Progress, Reconstruction, Warning,
+};
 
 const FRAMES: usize = 30;
 
@@ -122,4 +124,34 @@ fn a_large_moving_object_is_told_and_left_out_with_depth() {
         let off = (pose.expect("a pose") * (first * moving(i)).inverse()).translation.norm();
         assert!(off < 0.005, "frame {i} is off by {off} m");
     }
+}
+
+/// Depth by the clock of another device is told and left out, a stamp that is no number is refused.
+#[test]
+fn depth_that_was_not_taken_with_its_picture_is_not_used() {
+    let result = |late: Option<f64>| {
+        let mut front_end = FrontEnd::new(Intrinsics::Known(camera()));
+        for i in 0..16 {
+            let (timestamp, colour) = (i as f64 / 30.0, picture(3, moving(i), 1.0));
+            let depth = Image::from_fn(camera().width, camera().height, 1, |_, column, row| {
+                depth(moving(i), [column as f64 + 0.5, row as f64 + 0.5]) as f32
+            });
+            for nowhen in [f64::NAN, f64::INFINITY] {
+                let refused = DepthPicture { depth: &depth, timestamp: nowhen };
+                let refused = front_end.push(&colour, timestamp, Some(&refused));
+                assert!(matches!(refused, Err(PictureError::DepthStamp { .. })), "{refused:?}");
+            }
+            let depth =
+                late.map(|late| DepthPicture { depth: &depth, timestamp: timestamp + late });
+            front_end.push(&colour, timestamp, depth.as_ref()).expect("they fit");
+        }
+        front_end.finish(Progress::default()).expect("a path")
+    };
+    let (alone, other_clock) = (result(None), result(Some(-1.6e9)));
+    assert_eq!(alone.poses, other_clock.poses);
+    assert_eq!(other_clock.depth_model, None);
+    let told = other_clock.warnings.iter().find(|w| matches!(w, Warning::DepthNotInTime { .. }));
+    let told = told.map(|warning| matches!(warning, Warning::DepthNotInTime { count: 16, .. }));
+    assert_eq!(told, Some(true), "{:?}", other_clock.warnings);
+    assert!(result(Some(0.01)).depth_model.is_some());
 }
