@@ -10,7 +10,7 @@ use crate::multiview::triangulation::{PosedObservation, triangulate};
 use crate::progress::Progress;
 use crate::track::tracks::{DepthReading, Observation, Track, Tracks, shared_positions};
 use i2slam_compute::median;
-use i2slam_geometry::{Camera, Image, Pose};
+use i2slam_geometry::{Camera, Image, Pose, Similarity};
 use rayon::prelude::*;
 use std::sync::Arc;
 
@@ -133,7 +133,7 @@ impl SfmState {
         }
         self.tracks.frames = frame + 1;
         self.tracks.keyframes = tracks.keyframes.clone();
-        self.tracks.keyframe_images = Arc::clone(&tracks.keyframe_images);
+        self.tracks.keyframe_images.clone_from(&tracks.keyframe_images);
         self.tracks.replace_repeated_keyframes(is_repeat);
     }
 
@@ -285,6 +285,7 @@ impl SfmState {
     fn adjust_together(&mut self, free: &[usize], adjust_focal: bool, steps: usize) -> f64 {
         let (mut bundle, frames, tracks) = self.bundle(free, adjust_focal);
         let cost = bundle.adjust(steps, &self.progress);
+        self.move_landmarks_of_one_frame(&frames, &bundle.poses);
         for (frame, pose) in frames.iter().zip(&bundle.poses) {
             self.poses[*frame] = Some(*pose);
         }
@@ -300,6 +301,27 @@ impl SfmState {
             FreeIntrinsics::FocalLength | FreeIntrinsics::None => {}
         }
         cost
+    }
+
+    /// Moves landmarks that only one adjusted frame observes, which a bundle leaves out, with the new
+    /// pose of that frame.
+    fn move_landmarks_of_one_frame(&mut self, frames: &[usize], poses: &[Pose<f64>]) {
+        for (frame, now) in frames.iter().zip(poses) {
+            let Some(was) = self.poses[*frame].filter(|was| was != now) else { continue };
+            let moved = Similarity::from_pose(*now * was.inverse(), 1.0);
+            for track in Arc::clone(&self.by_frame)[*frame].iter().copied() {
+                let is_its_own = self.adjusted_inliers(track).map(|o| o.frame).eq([*frame]);
+                if let Some(landmark) = self.landmarks[track].filter(|_| is_its_own) {
+                    self.landmarks[track] = Some(landmark.transformed(&moved));
+                }
+            }
+        }
+    }
+
+    /// Observations of a track that are no outliers, in frames that are adjusted.
+    fn adjusted_inliers(&self, track: usize) -> impl Iterator<Item = &Observation> {
+        let observations = self.tracks.tracks[track].observations.iter();
+        observations.filter(|o| !o.is_outlier && self.is_adjusted(o.frame))
     }
 
     /// Corrects all observations for a change of the distortion.
@@ -361,10 +383,8 @@ impl SfmState {
         adjust_focal: bool,
     ) -> (Bundle, Vec<usize>, Vec<usize>) {
         let tracks = self.tracks_in(free);
-        let is_inlier = |o: &&Observation| !o.is_outlier && self.is_adjusted(o.frame);
-        let inliers =
-            |track: &usize| self.tracks.tracks[*track].observations.iter().filter(is_inlier);
-        let kept = |track: &usize| self.landmarks[*track].is_some() && inliers(track).count() > 1;
+        let inliers = |track: &usize| self.adjusted_inliers(*track);
+        let kept = |track: &usize| self.landmarks[*track].is_some() && self.is_seen_twice(*track);
         let tracks: Vec<usize> = tracks.into_iter().filter(kept).collect();
         let mut place = vec![None; self.poses.len()];
         tracks.iter().flat_map(inliers).for_each(|o| place[o.frame] = Some(0));
@@ -453,15 +473,32 @@ impl SfmState {
 
     /// Median residual over that expected from the tracker's deviations.
     pub(crate) fn residual_scale(&self) -> Option<f64> {
-        let mut all = Vec::new();
-        for frame in self.adjusted_frames() {
-            let Some(pose) = self.poses[frame] else { continue };
-            let of = |m: &Match<'_>| reprojection_error(&self.camera, &pose, m);
-            all.extend(self.matches(frame).iter().map(of));
-        }
         // The median length of a two-dimensional normal residual is √(2 ln 2) deviations.
         let usual = (2.0 * std::f64::consts::LN_2).sqrt();
-        median(&mut all).map(|m| m / usual)
+        median(&mut self.residuals_in(&self.adjusted_frames())).map(|m| m / usual)
+    }
+
+    /// Residuals [standard deviations] of the landmarks in some frames, without those that only one
+    /// adjusted frame observes: they lie where it sees them.
+    pub(crate) fn residuals_in(&self, frames: &[usize]) -> Vec<f64> {
+        let is_shared =
+            |track: &usize| self.landmarks[*track].is_some() && self.is_seen_twice(*track);
+        let is_shared: Vec<bool> = (0..self.landmarks.len()).map(|t| is_shared(&t)).collect();
+        let mut all = Vec::new();
+        for frame in frames {
+            let Some(pose) = self.poses[*frame] else { continue };
+            for track in self.by_frame[*frame].iter().filter(|track| is_shared[**track]) {
+                let seen = self.tracks.tracks[*track].observation_in(*frame);
+                let seen = self.landmarks[*track].as_ref().zip(seen);
+                all.extend(seen.map(|m| reprojection_error(&self.camera, &pose, &m)));
+            }
+        }
+        all
+    }
+
+    /// Whether two adjusted frames observe a landmark, so that adjustment determines it.
+    fn is_seen_twice(&self, track: usize) -> bool {
+        self.adjusted_inliers(track).nth(1).is_some()
     }
 
     /// Number of landmarks within [`MAX_INLIER_ERROR`] in a frame.

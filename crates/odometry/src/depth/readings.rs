@@ -19,16 +19,28 @@ const MIN_READINGS_PER_LANDMARK: usize = 4;
 /// A depth picture taken at another time than the colour picture is read where the landmark was
 /// then, and the reading is corrected by how much nearer the landmark came in between.
 pub(crate) fn read_depth(state: &mut SfmState) {
+    let Some(interval) = median_frame_interval(&state.timestamps) else { return };
     if state.has_depth() {
-        (0..state.poses.len()).for_each(|frame| read_depth_in(state, frame));
+        (0..state.poses.len()).for_each(|frame| read_depth_in(state, frame, interval));
     }
 }
 
-/// Gives the observations of one frame their readings.
-pub(crate) fn read_depth_in(state: &mut SfmState, frame: usize) {
+/// Gives the observations of one frame their readings, at a median frame interval [s].
+pub(crate) fn read_depth_in(state: &mut SfmState, frame: usize, interval: f64) {
+    read_depth_within(state, frame, interval, MAX_READING_ERROR);
+}
+
+/// As [`read_depth_in`], for a frame whose pose is a prediction: landmarks seen from there contradict
+/// no reading.
+pub(crate) fn read_depth_at_prediction(state: &mut SfmState, frame: usize, interval: f64) {
+    read_depth_within(state, frame, interval, f64::INFINITY);
+}
+
+/// Reads depth that differs from landmarks by at most so many standard deviations.
+fn read_depth_within(state: &mut SfmState, frame: usize, interval: f64, max_error: f64) {
     let (maps, by_frame) = (Arc::clone(&state.depth_maps), Arc::clone(&state.by_frame));
     let Some(map) = maps.get(frame).and_then(Option::as_ref) else { return };
-    let poses = poses_at_both_times(state, frame);
+    let poses = poses_at_both_times(state, frame, interval);
     let (camera, distortion, model) = (state.camera, state.distortion, &state.depth_model);
     for track in &by_frame[frame] {
         let landmark = state.landmarks[*track].as_ref();
@@ -45,9 +57,9 @@ pub(crate) fn read_depth_in(state: &mut SfmState, frame: usize) {
             .filter(|inverse| *inverse > 0.0)
             .map(|inverse| DepthReading { inverse, sigma: model.sigma(inverse) });
         let residual = view.and_then(|(landmark, [pose, _])| residual(landmark, pose, o));
-        o.depth = o.depth.filter(|reading| {
-            residual.is_none_or(|r| r.abs() <= MAX_READING_ERROR * reading.sigma)
-        });
+        o.depth = o
+            .depth
+            .filter(|reading| residual.is_none_or(|r| r.abs() <= max_error * reading.sigma));
     }
 }
 
@@ -80,11 +92,14 @@ fn residual(landmark: &Landmark, pose: &Pose<f64>, o: &Observation) -> Option<f6
 }
 
 /// Poses of a frame when its colour and its depth picture were taken.
-fn poses_at_both_times(state: &SfmState, frame: usize) -> Option<[Pose<f64>; 2]> {
+fn poses_at_both_times(
+    state: &SfmState,
+    frame: usize,
+    interval: f64,
+) -> Option<[Pose<f64>; 2]> {
     let (pose, map) = (state.poses[frame]?, state.depth_maps.get(frame)?.as_ref()?);
     let stamp = state.timestamps.get(frame)?;
     let later = map.timestamp + state.depth_model.delay - stamp;
-    let interval = median_frame_interval(&state.timestamps)?;
     let velocity = camera_velocity(state, &state.timestamps, frame, interval)?;
     Some([pose, pose.retract(velocity.scaled(later))])
 }

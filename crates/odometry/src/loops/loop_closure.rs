@@ -18,6 +18,7 @@ use crate::track::tracks::Observation;
 use i2slam_compute::median;
 use i2slam_geometry::{Pose, Similarity};
 use rayon::prelude::*;
+use std::sync::Arc;
 use std::collections::BTreeMap;
 
 /// Distance in keyframes of a loop.
@@ -76,11 +77,11 @@ pub(crate) fn close_loops(state: &mut SfmState, adjust_focal: bool) {
 
 /// Merges the tracks of keyframes that overlap by their poses, and adjusts all frames.
 pub(crate) fn merge_overlapping_keyframes(state: &mut SfmState, adjust_focal: bool) {
-    let find_overlaps = |(new, image): (usize, &KeyframeImage)| {
+    let find_overlaps = |(new, image): (usize, &Arc<KeyframeImage>)| {
         if state.progress.is_cancelled() {
             return Vec::new();
         }
-        let mut near: Vec<(usize, &KeyframeImage)> =
+        let mut near: Vec<(usize, &Arc<KeyframeImage>)> =
             (state.tracks.keyframe_images.iter().enumerate())
                 .filter(|(old, _)| old.abs_diff(new) > 1)
                 .map(|(_, other)| (count_visible_landmarks(state, image, other), other))
@@ -132,7 +133,7 @@ fn median_landmark_distance(state: &SfmState) -> f64 {
 
 /// Keyframes verified against much older ones.
 fn find_loop_candidates(state: &SfmState) -> Vec<LoopCandidate> {
-    let search = |(new, image): (usize, &KeyframeImage)| {
+    let search = |(new, image): (usize, &Arc<KeyframeImage>)| {
         state.poses[image.frame].filter(|_| !state.progress.is_cancelled())?;
         let may = |old: usize, other: &KeyframeImage| {
             old + MIN_LOOP_GAP <= new
@@ -315,7 +316,7 @@ mod tests {
             let blank = i2slam_geometry::Image::new(48, 48, 1);
             KeyframeImage::new(&crate::track::pyramid::Pyramid::new(&blank), f)
         });
-        let keyframe_images = std::sync::Arc::new(keyframe_images.collect());
+        let keyframe_images = keyframe_images.map(Arc::new).collect();
         let keyframes = (0..KEYFRAMES).collect();
         let mut state =
             SfmState::new(camera, Tracks { tracks, keyframes, keyframe_images, frames: KEYFRAMES });

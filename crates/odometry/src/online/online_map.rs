@@ -4,15 +4,14 @@
 //! takes it; a keyframe brings new landmarks, and the keyframes around it are adjusted. Frames
 //! between keyframes move with the one before them.
 
-use crate::depth::readings::read_depth_in;
-use crate::multiview::landmark::reprojection_error;
+use crate::depth::readings::{read_depth_at_prediction, read_depth_in};
 use crate::register::dense_constraints::{RECENT_KEYFRAMES, RecentKeyframes};
 use crate::register::initialization::initialize;
 use crate::register::registration::{
-    GLOBAL_ADJUSTMENT_GROWTH, adjust_globally, adjust_nearest, estimate_pose, register_keyframes,
-    register_remaining_frames,
+    GLOBAL_ADJUSTMENT_GROWTH, adjust_globally, adjust_nearest, estimate_pose, initial_poses,
+    refine_pose, register_keyframes, register_remaining_frames,
 };
-use crate::relocalize::relocalization::{FailedPairs, relocalize};
+use crate::relocalize::relocalization::{FailedPairs, relocalize_any_of};
 use crate::rolling_shutter::readout::{
     MAX_COST_RATIO, correct_observations, correct_observations_in, estimate_rolling_shutter,
     median_frame_interval,
@@ -20,6 +19,7 @@ use crate::rolling_shutter::readout::{
 use crate::rolling_shutter::rolling_shutter_init::initialize_readout;
 use crate::sfm_state::SfmState;
 use crate::track::tracker::{BACKWARD_FRAMES, Tracker};
+use crate::track::tracks::repeated_frame;
 use i2slam_compute::median;
 use i2slam_geometry::{Pose, Similarity};
 use std::sync::Arc;
@@ -73,27 +73,31 @@ impl OnlineMap {
     pub(crate) fn add_frame(&mut self, tracker: &Tracker, is_repeat: &[bool]) -> TrackingStatus {
         let frame = self.state.poses.len();
         self.state.add_frame(&tracker.tracks, tracker.tracked(), is_repeat);
-        if is_repeat[frame] {
-            self.poses.push(self.poses.last().copied().flatten());
-            return self.status();
-        }
         let interval = median_frame_interval(&self.state.timestamps).unwrap_or(0.0);
-        let is_keyframe = tracker.tracks.keyframes.last() == Some(&frame);
-        if !self.is_started() {
-            self.measure_again(frame, interval);
-            if is_keyframe {
-                self.start();
+        if !is_repeat[frame] {
+            match self.is_started() {
+                true => self.register(frame, interval),
+                false => self.measure_again(frame, interval),
             }
-        } else {
-            self.register(frame, interval);
-            if is_keyframe && self.state.poses[frame].is_none() {
-                relocalize(&mut self.state, &mut self.failed);
-            }
-            let is_posed = self.state.poses[frame].is_some();
-            self.pending_keyframe = (is_keyframe && is_posed).then_some(frame);
         }
-        self.poses.push(self.state.poses[frame]);
+        let own = repeated_frame(is_repeat, frame);
+        if tracker.tracks.keyframes.last() == Some(&frame) {
+            self.begin_keyframe(own);
+        }
+        self.poses.push(self.state.poses[own]);
         self.status()
+    }
+
+    /// Starts a map at a keyframe, or prepares the present one to be extended by it.
+    fn begin_keyframe(&mut self, frame: usize) {
+        if !self.is_started() {
+            self.start();
+            return;
+        }
+        if self.state.poses[frame].is_none() {
+            relocalize_any_of(&mut self.state, &[frame], &mut self.failed);
+        }
+        self.pending_keyframe = self.state.poses[frame].map(|_| frame);
     }
 
     /// Extends the map by the last frame if it was a keyframe, and looks for the readout where that is
@@ -140,12 +144,14 @@ impl OnlineMap {
 
     /// Registers a frame to the map, first with rows and depth for the predicted velocity.
     fn register(&mut self, frame: usize, interval: f64) {
-        self.state.poses[frame] = predicted_pose(&self.state, frame);
-        self.measure_again(frame, interval);
+        self.state.poses[frame] = initial_poses(&self.state, frame).first().copied();
+        correct_rows(&mut self.state, frame, interval);
+        read_depth_at_prediction(&mut self.state, frame, interval);
         let state = &mut self.state;
         state.poses[frame] = None;
         state.poses[frame] = estimate_pose(state, frame).map(|found| found.world_from_camera);
         self.measure_again(frame, interval);
+        self.state.poses[frame] = refine_pose(&self.state, frame);
         // Its velocity is known from both sides now.
         if frame > 0 {
             self.measure_again(frame - 1, interval);
@@ -155,7 +161,7 @@ impl OnlineMap {
     /// Corrects the rows of a frame and reads its depth for the velocity that is known now.
     fn measure_again(&mut self, frame: usize, interval: f64) {
         correct_rows(&mut self.state, frame, interval);
-        read_depth_in(&mut self.state, frame);
+        read_depth_in(&mut self.state, frame, interval);
     }
 
     /// Adds the landmarks of a keyframe and adjusts the keyframes around it.
@@ -232,14 +238,12 @@ impl OnlineMap {
     /// Median residual of all keyframes [standard deviations] over the number of inliers: a map that
     /// explains fewer points fits them better.
     fn misfit(&self) -> f64 {
-        let (state, mut all, mut explained) = (&self.state, Vec::new(), 0);
-        for frame in &state.tracks.keyframes {
-            let Some(pose) = &state.poses[*frame] else { continue };
-            let matches = state.matches(*frame);
-            explained += matches.iter().filter(|(_, o)| !o.is_outlier).count();
-            all.extend(matches.iter().map(|m| reprojection_error(&state.camera, pose, m)));
-        }
-        median(&mut all).map_or(f64::INFINITY, |usual| usual / explained.max(1) as f64)
+        let (state, keyframes) = (&self.state, &self.state.tracks.keyframes);
+        let posed = keyframes.iter().filter(|frame| state.poses[**frame].is_some());
+        let inliers = |frame| state.matches(frame).iter().filter(|(_, o)| !o.is_outlier).count();
+        let explained: usize = posed.map(|frame| inliers(*frame)).sum();
+        let usual = median(&mut state.residuals_in(keyframes));
+        usual.map_or(f64::INFINITY, |usual| usual / explained.max(1) as f64)
     }
 
     /// Moves the map to the world of another one with the same keyframes, by colour alone with its
@@ -269,15 +273,6 @@ fn correct_rows(state: &mut SfmState, frame: usize, interval: f64) {
     let timestamps = Arc::clone(&state.timestamps);
     let readout = state.readout * interval;
     correct_observations_in(state, frame, &timestamps, (readout, interval));
-}
-
-/// The pose of a frame at constant velocity.
-fn predicted_pose(state: &SfmState, frame: usize) -> Option<Pose<f64>> {
-    let last = state.poses[frame.checked_sub(1)?]?;
-    match frame.checked_sub(2).and_then(|before| state.poses[before]) {
-        Some(before) => Some(before.interpolate(last, 2.0)),
-        None => Some(last),
-    }
 }
 
 /// Keyframes with a pose, in order.

@@ -103,17 +103,19 @@ fn adjust_keyframes(state: &mut SfmState, adjust_focal: bool) -> f64 {
 /// Registers those of some posed frames that are no keyframes anew, from where they are.
 pub(crate) fn register_between(state: &mut SfmState, frames: &[usize]) {
     let is_keyframe = |frame: &usize| state.tracks.keyframes.binary_search(frame).is_ok();
-    let again = |frame: &usize| {
-        let matches = state.matches(*frame);
-        let start = state.poses[*frame].filter(|_| !state.progress.is_cancelled())?;
-        let found = solve_pnp(&state.camera, start, &matches, state.noise_scale);
-        found.filter(|f| has_enough_inliers(f, matches.len())).map(|f| f.world_from_camera)
-    };
     let between: Vec<usize> = frames.iter().copied().filter(|f| !is_keyframe(f)).collect();
-    let found: Vec<_> = between.par_iter().map(again).collect();
+    let found: Vec<_> = between.par_iter().map(|frame| refine_pose(state, *frame)).collect();
     for (frame, pose) in between.into_iter().zip(found) {
         state.poses[frame] = pose;
     }
+}
+
+/// The pose of a posed frame from its landmarks, from where it is.
+pub(crate) fn refine_pose(state: &SfmState, frame: usize) -> Option<Pose<f64>> {
+    let matches = state.matches(frame);
+    let start = state.poses[frame].filter(|_| !state.progress.is_cancelled())?;
+    let found = solve_pnp(&state.camera, start, &matches, state.noise_scale);
+    found.filter(|f| has_enough_inliers(f, matches.len())).map(|f| f.world_from_camera)
 }
 
 /// Registers frames between keyframes and remaining keyframes, until none succeeds.
@@ -187,13 +189,15 @@ fn has_enough_inliers(found: &PnpSolution, matches: usize) -> bool {
     found.inliers >= MIN_INLIERS && found.inliers as f64 >= MIN_INLIER_RATIO * matches as f64
 }
 
-/// Initial poses of a frame: interpolated between, extrapolated from, and equal to its neighbours'.
-fn initial_poses(state: &SfmState, frame: usize) -> Vec<Pose<f64>> {
-    let pose = |f: usize| state.poses[f].map(|p| (f as f64, p));
+/// Initial poses of a frame: at constant velocity between or beyond its neighbours, and equal to
+/// theirs.
+pub(crate) fn initial_poses(state: &SfmState, frame: usize) -> Vec<Pose<f64>> {
+    let time = |f: usize| state.timestamps.get(f).copied().unwrap_or(f as f64);
+    let pose = |f: usize| state.poses[f].map(|p| (time(f), p));
     let before: Vec<_> = (0..frame).rev().filter_map(pose).take(2).collect();
     let behind: Vec<_> = (frame..state.poses.len()).filter_map(pose).take(2).collect();
     let mut initial_poses = Vec::new();
-    let at = frame as f64;
+    let at = time(frame);
     let mut line = |a: (f64, Pose<f64>), b: (f64, Pose<f64>)| {
         initial_poses.push(a.1.interpolate(b.1, (at - a.0) / (b.0 - a.0)));
     };

@@ -39,11 +39,10 @@ pub(crate) fn candidate_keyframes<'a>(
     may: impl Fn(usize, &KeyframeImage) -> bool,
 ) -> Vec<(usize, &'a KeyframeImage)> {
     let of = |(place, other): (usize, &'a KeyframeImage)| {
-        let correlation = image.thumbnail_correlation(other);
-        let is_similar = correlation > MIN_THUMBNAIL_CORRELATION;
-        (is_similar && may(place, other)).then_some((correlation, place, other))
+        let correlation = may(place, other).then(|| image.thumbnail_correlation(other))?;
+        (correlation > MIN_THUMBNAIL_CORRELATION).then_some((correlation, place, other))
     };
-    let mut all: Vec<_> = state.tracks.keyframe_images.iter().enumerate().filter_map(of).collect();
+    let mut all: Vec<_> = state.tracks.keyframe_images.iter().map(Arc::as_ref).enumerate().filter_map(of).collect();
     all.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
     let mut chosen: Vec<(usize, &KeyframeImage)> = Vec::new();
     for (_, place, other) in all {
@@ -58,11 +57,23 @@ pub(crate) fn candidate_keyframes<'a>(
 
 /// Localises lost keyframes in the map until a batch has a success; returns whether one had.
 pub(crate) fn relocalize(state: &mut SfmState, failed: &mut FailedPairs) -> bool {
-    let images = Arc::clone(&state.tracks.keyframe_images);
-    let is_lost = |image: &&KeyframeImage| {
-        state.poses[image.frame].is_none() && !failed.is_given_up(image.frame)
+    let frames = state.tracks.keyframes.clone();
+    relocalize_any_of(state, &frames, failed)
+}
+
+/// As [`relocalize`], for the lost ones of some keyframes.
+pub(crate) fn relocalize_any_of(
+    state: &mut SfmState,
+    frames: &[usize],
+    failed: &mut FailedPairs,
+) -> bool {
+    let images = state.tracks.keyframe_images.clone();
+    let is_lost = |image: &&Arc<KeyframeImage>| {
+        state.poses[image.frame].is_none()
+            && !failed.is_given_up(image.frame)
+            && frames.binary_search(&image.frame).is_ok()
     };
-    let lost: Vec<&KeyframeImage> = images.iter().filter(is_lost).collect();
+    let lost: Vec<&KeyframeImage> = images.iter().filter(is_lost).map(Arc::as_ref).collect();
     for batch in lost.chunks(KEYFRAMES_PER_BATCH) {
         if state.progress.is_cancelled() {
             break;

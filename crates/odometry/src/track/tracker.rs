@@ -260,7 +260,7 @@ impl Tracker {
         self.frames_due = 0;
         self.tracks.keyframes.push(frame);
         let image = KeyframeImage::new(&next.pyramid, frame);
-        Arc::make_mut(&mut self.tracks.keyframe_images).push(image);
+        self.tracks.keyframe_images.push(Arc::new(image));
         for point in &mut self.points {
             let is_aged = point.hidden_frames == 0 && point.correlation < REANCHOR_CORRELATION;
             if let Some(anchor) =

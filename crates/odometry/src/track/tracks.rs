@@ -72,7 +72,7 @@ pub(crate) struct Tracks {
     /// Keyframes, in order.
     pub(crate) keyframes: Vec<usize>,
     /// Their pictures, in order.
-    pub(crate) keyframe_images: Arc<Vec<KeyframeImage>>,
+    pub(crate) keyframe_images: Vec<Arc<KeyframeImage>>,
     /// Number of frames.
     pub(crate) frames: usize,
 }
@@ -105,8 +105,13 @@ impl Tracks {
         }
         self.keyframes.iter_mut().for_each(|frame| *frame = repeated_frame(is_repeat, *frame));
         self.keyframes.dedup();
-        let images = Arc::make_mut(&mut self.keyframe_images);
-        images.iter_mut().for_each(|image| image.frame = repeated_frame(is_repeat, image.frame));
+        let images = &mut self.keyframe_images;
+        for image in images.iter_mut() {
+            let own = repeated_frame(is_repeat, image.frame);
+            if own != image.frame {
+                Arc::make_mut(image).frame = own;
+            }
+        }
         images.dedup_by_key(|image| image.frame);
     }
 
@@ -119,7 +124,7 @@ impl Tracks {
             Track { observations: kept.copied().collect() }
         };
         let (keyframes, keyframe_images) =
-            (self.keyframes.clone(), Arc::clone(&self.keyframe_images));
+            (self.keyframes.clone(), self.keyframe_images.clone());
         Self {
             tracks: self.tracks.iter().map(reduced).collect(),
             keyframes,
