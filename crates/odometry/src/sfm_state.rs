@@ -1,23 +1,20 @@
 //! State of the reconstruction: camera, tracks, poses and landmarks.
 
+mod residuals;
+
 use crate::bundle::{Bundle, BundleObservation, FreeIntrinsics, RelativePoseFactor};
 use crate::depth::depth_map::{DepthMap, DepthPicture};
 use crate::depth::sensor_model::DepthModel;
 use crate::depth::stored_picture::StoredPicture;
-use crate::multiview::landmark::{Landmark, MAX_INLIER_ERROR, Match, reprojection_error};
+use crate::multiview::landmark::{Landmark, Match};
 use crate::multiview::lens_distortion::{CameraJacobian, distortion_jacobian, undistort};
 use crate::multiview::triangulation::{PosedObservation, triangulate};
 use crate::progress::Progress;
 use crate::track::tracks::{DepthReading, Observation, Track, Tracks, shared_positions};
-use i2slam_compute::median;
 use i2slam_geometry::{Camera, Image, Pose, Similarity};
 use rayon::prelude::*;
 use std::sync::Arc;
 
-/// Reprojection error of an outlier [standard deviations].
-const OUTLIER_ERROR: f64 = 6.0;
-/// Largest factor between residuals and the tracker's deviations.
-const MAX_NOISE_SCALE: f64 = 4.0;
 /// Frames from which on distortion or readout are adjusted.
 const MIN_SELF_CALIBRATION_FRAMES: usize = 8;
 /// Longest rolling-shutter readout [frame intervals].
@@ -324,6 +321,11 @@ impl SfmState {
         observations.filter(|o| !o.is_outlier && self.is_adjusted(o.frame))
     }
 
+    /// Whether two adjusted frames observe a landmark, so that adjustment determines it.
+    fn is_seen_twice(&self, track: usize) -> bool {
+        self.adjusted_inliers(track).nth(1).is_some()
+    }
+
     /// Corrects all observations for a change of the distortion.
     pub(crate) fn update_distortion(&mut self, change: [f64; 2]) {
         (0..2).for_each(|i| self.distortion[i] += change[i]);
@@ -430,83 +432,43 @@ impl SfmState {
         };
         self.relative_poses.iter().filter_map(placed).collect()
     }
+}
 
-    /// Marks observations that their landmark does not explain as outliers, and drops landmarks
-    /// left with fewer than two inliers; their observations may be tried again.
-    pub(crate) fn reject_outliers(&mut self) {
-        self.reject_outliers_of((0..self.landmarks.len()).collect());
-    }
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fixtures;
+    use i2slam_geometry::{Rotation, Tangent, Vec3};
 
-    /// Rejects outliers among the landmarks that some frames observe.
-    pub(crate) fn reject_outliers_in(&mut self, frames: &[usize]) {
-        self.reject_outliers_of(self.tracks_in(frames));
-    }
-
-    fn reject_outliers_of(&mut self, tracks: Vec<usize>) {
-        let (camera, worst) = (self.camera, OUTLIER_ERROR * self.noise_scale);
-        let adjusted: Vec<Option<Pose<f64>>> =
-            (0..self.poses.len()).map(|f| self.poses[f].filter(|_| self.is_adjusted(f))).collect();
-        for index in tracks {
-            let (landmark, track) = (&mut self.landmarks[index], &mut self.tracks.tracks[index]);
-            let Some(known) = landmark else { continue };
-            let mut left = 0;
-            for observation in &mut track.observations {
-                let Some(pose) = &adjusted[observation.frame] else { continue };
-                let off = reprojection_error(&camera, pose, &(&*known, observation));
-                observation.is_outlier = off > worst;
-                left += usize::from(!observation.is_outlier);
-            }
-            let has_depth = track.observations.iter().any(|o| !o.is_outlier && o.depth.is_some());
-            // Slightly negative inverse depths are far points with noise.
-            if left < 2 - usize::from(has_depth) || known.inverse_depth() < -0.02 {
-                *landmark = None;
-                track.observations.iter_mut().for_each(|o| o.is_outlier = false);
-            }
-        }
-    }
-
-    /// Updates [`noise_scale`](Self::noise_scale) from the residuals of all registered frames.
-    pub(crate) fn update_noise_scale(&mut self) {
-        self.noise_scale =
-            self.residual_scale().map_or(1.0, |scale| scale.clamp(1.0, MAX_NOISE_SCALE));
-    }
-
-    /// Median residual over that expected from the tracker's deviations.
-    pub(crate) fn residual_scale(&self) -> Option<f64> {
-        // The median length of a two-dimensional normal residual is √(2 ln 2) deviations.
-        let usual = (2.0 * std::f64::consts::LN_2).sqrt();
-        median(&mut self.residuals_in(&self.adjusted_frames())).map(|m| m / usual)
-    }
-
-    /// Residuals [standard deviations] of the landmarks in some frames, without those that only one
-    /// adjusted frame observes: they lie where it sees them.
-    pub(crate) fn residuals_in(&self, frames: &[usize]) -> Vec<f64> {
-        let is_shared =
-            |track: &usize| self.landmarks[*track].is_some() && self.is_seen_twice(*track);
-        let is_shared: Vec<bool> = (0..self.landmarks.len()).map(|t| is_shared(&t)).collect();
-        let mut all = Vec::new();
-        for frame in frames {
-            let Some(pose) = self.poses[*frame] else { continue };
-            for track in self.by_frame[*frame].iter().filter(|track| is_shared[**track]) {
-                let seen = self.tracks.tracks[*track].observation_in(*frame);
-                let seen = self.landmarks[*track].as_ref().zip(seen);
-                all.extend(seen.map(|m| reprojection_error(&self.camera, &pose, &m)));
-            }
-        }
-        all
-    }
-
-    /// Whether two adjusted frames observe a landmark, so that adjustment determines it.
-    fn is_seen_twice(&self, track: usize) -> bool {
-        self.adjusted_inliers(track).nth(1).is_some()
-    }
-
-    /// Number of landmarks within [`MAX_INLIER_ERROR`] in a frame.
-    pub(crate) fn count_inliers(&self, frame: usize) -> usize {
-        let Some(pose) = self.poses[frame] else { return 0 };
-        let agrees = |m: &&Match<'_>| {
-            reprojection_error(&self.camera, &pose, m) < MAX_INLIER_ERROR * self.noise_scale
+    /// A frame that was off moves to its points, and the landmark that it alone sees moves with it.
+    #[test]
+    fn a_landmark_of_one_frame_is_adjusted_with_the_frame() {
+        let pose =
+            |frame: usize| Pose::new(Rotation::identity(), Vec3::new(0.1 * frame as f64, 0.0, 0.0));
+        let observe = |point: Vec3<f64>, frame: usize, _: &[f64]| {
+            let (u, v) = fixtures::camera().project(pose(frame).inverse() * point);
+            Some([u, v])
         };
-        self.matches(frame).iter().filter(agrees).count()
+        let mut state = fixtures::state((6, 12, 1), [120.0, 90.0], pose, observe);
+        let track = state.by_frame[5][0];
+        state.tracks.tracks[track].observations.retain(|o| o.frame == 5);
+        state.by_frame = Arc::new(state.tracks.tracks_by_frame());
+        let there = state.landmarks[track].expect("triangulated").position();
+        let off = Tangent {
+            translation: Vec3::new(0.02, 0.0, 0.01),
+            rotation: Vec3::new(0.0, 0.01, 0.0),
+        };
+        let wrong = pose(5).retract(off);
+        let moved = Similarity::from_pose(wrong * pose(5).inverse(), 1.0);
+        state.poses[5] = Some(wrong);
+        state.landmarks[track] =
+            state.landmarks[track].map(|landmark| landmark.transformed(&moved));
+        state.adjust(&[5], false, 20);
+        let found = state.poses[5].expect("posed");
+        assert!((found.translation - pose(5).translation).norm() < 1e-6);
+        let found = state.landmarks[track].expect("kept").position();
+        assert!((found - there).norm() < 1e-5, "{found:?} {there:?}");
+        assert!(state.residuals_in(&[5]).iter().all(|residual| *residual < 1e-3));
+        assert_eq!(state.residuals_in(&[5]).len(), state.matches(5).len() - 1);
     }
 }

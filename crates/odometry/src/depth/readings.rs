@@ -57,9 +57,8 @@ fn read_depth_within(state: &mut SfmState, frame: usize, interval: f64, max_erro
             .filter(|inverse| *inverse > 0.0)
             .map(|inverse| DepthReading { inverse, sigma: model.sigma(inverse) });
         let residual = view.and_then(|(landmark, [pose, _])| residual(landmark, pose, o));
-        o.depth = o
-            .depth
-            .filter(|reading| residual.is_none_or(|r| r.abs() <= max_error * reading.sigma));
+        o.depth =
+            o.depth.filter(|reading| residual.is_none_or(|r| r.abs() <= max_error * reading.sigma));
     }
 }
 
@@ -92,11 +91,7 @@ fn residual(landmark: &Landmark, pose: &Pose<f64>, o: &Observation) -> Option<f6
 }
 
 /// Poses of a frame when its colour and its depth picture were taken.
-fn poses_at_both_times(
-    state: &SfmState,
-    frame: usize,
-    interval: f64,
-) -> Option<[Pose<f64>; 2]> {
+fn poses_at_both_times(state: &SfmState, frame: usize, interval: f64) -> Option<[Pose<f64>; 2]> {
     let (pose, map) = (state.poses[frame]?, state.depth_maps.get(frame)?.as_ref()?);
     let stamp = state.timestamps.get(frame)?;
     let later = map.timestamp + state.depth_model.delay - stamp;

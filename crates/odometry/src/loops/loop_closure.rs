@@ -18,8 +18,8 @@ use crate::track::tracks::Observation;
 use i2slam_compute::median;
 use i2slam_geometry::{Pose, Similarity};
 use rayon::prelude::*;
-use std::sync::Arc;
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 /// Distance in keyframes of a loop.
 const MIN_LOOP_GAP: usize = 8;

@@ -218,3 +218,33 @@ fn nearest_posed(posed: &[usize], frame: usize) -> Vec<usize> {
     near.truncate(LOCAL_WINDOW.min(posed.len().saturating_sub(1)).max(1));
     near
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fixtures::camera;
+    use crate::track::tracks::Tracks;
+    use i2slam_geometry::{Rotation, Vec3};
+    use std::sync::Arc;
+
+    /// Constant velocity in time, whether frames are missing or come late.
+    #[test]
+    fn a_frame_starts_where_constant_velocity_takes_it() {
+        let stamps = [0.0, 0.1, 0.2, 0.5, 0.6, 0.7];
+        let pose = |time: f64| {
+            Pose::new(Rotation::exp(Vec3::new(0.0, 0.4 * time, 0.0)), Vec3::new(time, 0.0, 0.0))
+        };
+        let mut state = SfmState::new(camera(), Tracks { frames: 6, ..Tracks::default() });
+        state.timestamps = Arc::new(stamps.to_vec());
+        for frame in [1, 3] {
+            state.poses[frame] = Some(pose(stamps[frame]));
+        }
+        for frame in [2, 4, 5] {
+            let [first, ..] = initial_poses(&state, frame)[..] else { panic!("a start") };
+            let off = first.local(pose(stamps[frame]));
+            // Place and turn are each linear in time.
+            assert!(off.rotation.norm() < 1e-9, "{frame}: {off:?}");
+            assert!((first.translation.x - stamps[frame]).abs() < 1e-3, "{frame}: {first:?}");
+        }
+    }
+}

@@ -42,7 +42,8 @@ pub(crate) fn candidate_keyframes<'a>(
         let correlation = may(place, other).then(|| image.thumbnail_correlation(other))?;
         (correlation > MIN_THUMBNAIL_CORRELATION).then_some((correlation, place, other))
     };
-    let mut all: Vec<_> = state.tracks.keyframe_images.iter().map(Arc::as_ref).enumerate().filter_map(of).collect();
+    let mut all: Vec<_> =
+        state.tracks.keyframe_images.iter().map(Arc::as_ref).enumerate().filter_map(of).collect();
     all.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
     let mut chosen: Vec<(usize, &KeyframeImage)> = Vec::new();
     for (_, place, other) in all {

@@ -67,7 +67,8 @@ impl<'a> ReadoutSearch<'a> {
         sample.progress = state.progress.without_listener();
         sample.estimates_readout = false;
         // Frames that are left out of adjustment tell velocities, too.
-        let is_within = |f: usize| stretches.iter().any(|s| s.first() <= Some(&f) && Some(&f) <= s.last());
+        let is_within =
+            |f: usize| stretches.iter().any(|s| s.first() <= Some(&f) && Some(&f) <= s.last());
         (0..sample.poses.len()).filter(|f| !is_within(*f)).for_each(|f| sample.poses[f] = None);
         let free = stretches.iter().flat_map(|s| s.iter().skip(1)).copied().collect();
         Self { state: sample, free, timestamps, interval, adjust_focal }

@@ -123,8 +123,7 @@ impl Tracks {
             let kept = track.observations.iter().filter(|o| is_keyframe[o.frame]);
             Track { observations: kept.copied().collect() }
         };
-        let (keyframes, keyframe_images) =
-            (self.keyframes.clone(), self.keyframe_images.clone());
+        let (keyframes, keyframe_images) = (self.keyframes.clone(), self.keyframe_images.clone());
         Self {
             tracks: self.tracks.iter().map(reduced).collect(),
             keyframes,

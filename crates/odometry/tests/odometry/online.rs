@@ -55,6 +55,19 @@ fn with_depth_every_frame_has_a_metric_pose_at_once() {
     assert!(error < 0.01, "{error}");
 }
 
+/// Material stored at twice its rate: keyframes may fall on repeats.
+#[test]
+fn repeated_pictures_stay_where_the_first_was() {
+    let path: Vec<Pose<f64>> = (0..2 * FRAMES).map(|i| moving(i / 2)).collect();
+    let found = updates(&path, true, |_| false);
+    assert!(found.iter().all(|update| update.status == TrackingStatus::Tracked));
+    // The map may have been adjusted in between.
+    let place = |update: &FrameUpdate| update.pose.expect("tracked").translation;
+    assert!(found.chunks(2).all(|pair| (place(&pair[0]) - place(&pair[1])).norm() < 1e-3));
+    let error = online_error(&found, &path, true);
+    assert!(error < 0.01, "{error}");
+}
+
 #[test]
 fn by_colour_alone_frames_have_poses_from_the_first_parallax_on() {
     let found = updates(&path(), false, |_| false);

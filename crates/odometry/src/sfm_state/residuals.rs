@@ -1,0 +1,87 @@
+//! Residuals of landmarks: their scale, and the observations that are outliers.
+
+use super::SfmState;
+use crate::multiview::landmark::{MAX_INLIER_ERROR, Match, reprojection_error};
+use i2slam_compute::median;
+use i2slam_geometry::Pose;
+
+/// Reprojection error of an outlier [standard deviations].
+const OUTLIER_ERROR: f64 = 6.0;
+/// Largest factor between residuals and the tracker's deviations.
+const MAX_NOISE_SCALE: f64 = 4.0;
+
+impl SfmState {
+    /// Marks observations that their landmark does not explain as outliers, and drops landmarks
+    /// left with fewer than two inliers; their observations may be tried again.
+    pub(crate) fn reject_outliers(&mut self) {
+        self.reject_outliers_of((0..self.landmarks.len()).collect());
+    }
+
+    /// Rejects outliers among the landmarks that some frames observe.
+    pub(crate) fn reject_outliers_in(&mut self, frames: &[usize]) {
+        self.reject_outliers_of(self.tracks_in(frames));
+    }
+
+    fn reject_outliers_of(&mut self, tracks: Vec<usize>) {
+        let (camera, worst) = (self.camera, OUTLIER_ERROR * self.noise_scale);
+        let adjusted: Vec<Option<Pose<f64>>> =
+            (0..self.poses.len()).map(|f| self.poses[f].filter(|_| self.is_adjusted(f))).collect();
+        for index in tracks {
+            let (landmark, track) = (&mut self.landmarks[index], &mut self.tracks.tracks[index]);
+            let Some(known) = landmark else { continue };
+            let mut left = 0;
+            for observation in &mut track.observations {
+                let Some(pose) = &adjusted[observation.frame] else { continue };
+                let off = reprojection_error(&camera, pose, &(&*known, observation));
+                observation.is_outlier = off > worst;
+                left += usize::from(!observation.is_outlier);
+            }
+            let has_depth = track.observations.iter().any(|o| !o.is_outlier && o.depth.is_some());
+            // Slightly negative inverse depths are far points with noise.
+            if left < 2 - usize::from(has_depth) || known.inverse_depth() < -0.02 {
+                *landmark = None;
+                track.observations.iter_mut().for_each(|o| o.is_outlier = false);
+            }
+        }
+    }
+
+    /// Updates [`noise_scale`](Self::noise_scale) from the residuals of all registered frames.
+    pub(crate) fn update_noise_scale(&mut self) {
+        self.noise_scale =
+            self.residual_scale().map_or(1.0, |scale| scale.clamp(1.0, MAX_NOISE_SCALE));
+    }
+
+    /// Median residual over that expected from the tracker's deviations.
+    pub(crate) fn residual_scale(&self) -> Option<f64> {
+        // The median length of a two-dimensional normal residual is √(2 ln 2) deviations.
+        let usual = (2.0 * std::f64::consts::LN_2).sqrt();
+        median(&mut self.residuals_in(&self.adjusted_frames())).map(|m| m / usual)
+    }
+
+    /// Residuals [standard deviations] of the landmarks in some frames, without those that only one
+    /// adjusted frame observes: they lie where it sees them.
+    pub(crate) fn residuals_in(&self, frames: &[usize]) -> Vec<f64> {
+        let is_shared =
+            |track: &usize| self.landmarks[*track].is_some() && self.is_seen_twice(*track);
+        let is_shared: Vec<bool> = (0..self.landmarks.len()).map(|t| is_shared(&t)).collect();
+        let mut all = Vec::new();
+        for frame in frames {
+            let Some(pose) = self.poses[*frame] else { continue };
+            for track in self.by_frame[*frame].iter().filter(|track| is_shared[**track]) {
+                let seen = self.tracks.tracks[*track].observation_in(*frame);
+                let seen = self.landmarks[*track].as_ref().zip(seen);
+                all.extend(seen.map(|m| reprojection_error(&self.camera, &pose, &m)));
+            }
+        }
+        all
+    }
+
+    /// Number of landmarks within [`MAX_INLIER_ERROR`] in a frame.
+    pub(crate) fn count_inliers(&self, frame: usize) -> usize {
+        let Some(pose) = self.poses[frame] else { return 0 };
+        let agrees = |m: &&Match<'_>| {
+            reprojection_error(&self.camera, &pose, m) < MAX_INLIER_ERROR * self.noise_scale
+        };
+        self.matches(frame).iter().filter(agrees).count()
+    }
+}
