@@ -3,6 +3,7 @@
 use crate::depth::calibration::calibrate_depth;
 use crate::depth::depth_map::DepthPicture;
 use crate::depth::readings::read_depth;
+use crate::depth::scale::scale_to_readings;
 use crate::diagnosis::findings::diagnose;
 use crate::diagnosis::pictures::PictureChecks;
 use crate::error::{OdometryError, PictureError};
@@ -57,7 +58,7 @@ pub struct FrameUpdate {
     /// Its index among the accepted pictures.
     pub frame: usize,
     /// `world_from_camera` at mid-exposure, where it is known. The world is the first keyframe; the
-    /// unit is the metre with measured depth, and arbitrary without.
+    /// unit is the metre from the moment on when enough depth was read, and arbitrary before.
     pub pose: Option<Pose<f64>>,
     /// Status of the pose.
     pub status: TrackingStatus,
@@ -123,10 +124,8 @@ impl FrontEnd {
                 return Err(PictureError::DepthStamp { timestamp });
             }
         }
-        let delay = depth.map(|depth| (depth.timestamp - timestamp).abs());
-        let left_out = delay.filter(|delay| !self.is_in_time(*delay));
-        let depth = depth.filter(|_| left_out.is_none());
-        self.picture_checks.add(picture, left_out);
+        self.picture_checks.add(picture);
+        let depth = depth.filter(|depth| self.is_in_time(depth.timestamp - timestamp));
         // Points are followed without the map, and the map grows by pictures that were tracked already.
         let (FrameReport { is_cut, is_keyframe }, ()) =
             rayon::join(|| self.tracker.track(picture), || self.map.extend());
@@ -142,10 +141,14 @@ impl FrontEnd {
         Ok(FrameUpdate { frame, pose, status, is_cut, is_keyframe })
     }
 
-    /// Whether depth taken so far from its colour picture [s] is used.
-    fn is_in_time(&self, delay: f64) -> bool {
+    /// Whether a depth picture taken so much later than its colour picture [s] is used.
+    fn is_in_time(&mut self, later: f64) -> bool {
         let interval = || median_frame_interval(&self.map.state.timestamps);
-        delay <= MAX_DEPTH_DELAY || interval().is_some_and(|interval| delay <= interval)
+        let delay = later.abs();
+        let is_in_time =
+            delay <= MAX_DEPTH_DELAY || interval().is_some_and(|interval| delay <= interval);
+        self.picture_checks.add_depth(delay, is_in_time);
+        is_in_time
     }
 
     /// Reconstructs the camera path from all pictures so far.
@@ -243,7 +246,7 @@ fn initial_state(
     correct_rows(&mut state);
     if leave_out_moving_objects(&mut state) {
         correct_rows(&mut state);
-    } else if online.has_depth() && !online.posed_frames().is_empty() {
+    } else if online.is_metric() {
         let tracks = online.tracks.with_two_keyframes();
         state = SfmState { tracks, relative_poses: Arc::default(), ..online };
         if state.readout == 0.0 {
@@ -296,6 +299,7 @@ fn build_map(state: &mut SfmState, adjust_focal: bool) -> Result<(), OdometryErr
     if let Some((other, other_was_lost)) = largest_component(state, adjust_focal) {
         (*state, was_lost) = (other, other_was_lost);
     }
+    scale_to_readings(state);
     if !is_started {
         adjust_globally(state, adjust_focal);
     }

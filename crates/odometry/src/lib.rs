@@ -52,6 +52,7 @@ mod depth {
     pub(crate) mod depth_map;
     pub(crate) mod readings;
     pub(crate) mod registration;
+    pub(crate) mod scale;
     pub(crate) mod sensor_model;
     pub(crate) mod stored_picture;
 }

@@ -63,13 +63,14 @@ pub(crate) fn pose_deviations(
     let (_, posed, _) = state.bundle(&state.posed_frames(), false);
     let mut out = vec![None; state.poses.len()];
     let mut weak: Vec<(usize, f64)> = Vec::new();
+    let is_scale_measured = state.is_scale_measured();
     for (part, inner) in parts(posed.len()) {
         let frames = &posed[part.clone()];
         let Some(errors) = PoseErrors::new(state, frames) else { continue };
         for place in inner {
             let local = place - part.start;
             out[frames[local]] = errors.deviation(local, &neighbours(state, frames, local));
-            let scale = errors.scale_deviation(local).filter(|_| !state.has_depth());
+            let scale = errors.scale_deviation(local).filter(|_| !is_scale_measured);
             weak.extend(scale.filter(|d| *d > MAX_SCALE_DEVIATION).map(|d| (frames[local], d)));
         }
     }

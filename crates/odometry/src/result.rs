@@ -143,7 +143,7 @@ pub(crate) fn build_reconstruction(
     let mut keyframes = keyframes_with_depth(&state, timestamps);
     let mut depths: Vec<f64> =
         keyframes.iter().flat_map(|k| k.depths.iter().map(|d| d.depth)).collect();
-    let is_metric = state.has_depth();
+    let is_metric = state.is_metric();
     let usual = median(&mut depths).filter(|m| *m > 0.0 && !is_metric);
     let unit = usual.map_or(1.0, f64::recip);
     let placed = |pose: Pose<f64>| {

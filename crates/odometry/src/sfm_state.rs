@@ -1,6 +1,9 @@
 //! State of the reconstruction: camera, tracks, poses and landmarks.
 
 mod residuals;
+mod scale;
+
+pub(crate) use scale::MIN_MEASURED_LANDMARKS;
 
 use crate::bundle::{Bundle, BundleObservation, FreeIntrinsics, RelativePoseFactor};
 use crate::depth::depth_map::{DepthMap, DepthPicture};
@@ -52,6 +55,9 @@ pub(crate) struct SfmState {
     pub(crate) depth_maps: Arc<Vec<Option<DepthMap>>>,
     /// Model of the depth sensor.
     pub(crate) depth_model: DepthModel,
+    /// Whether the map began by parallax, so that its lengths have no unit: depth is not read until
+    /// readings agree on one.
+    pub(crate) is_unscaled: bool,
     /// Picture of every frame, for dense alignment; empty by colour alone.
     pub(crate) pictures: Arc<Vec<Option<StoredPicture>>>,
     /// Relative poses of frames by dense alignment.
@@ -81,22 +87,25 @@ impl SfmState {
             timestamps: Arc::default(),
             depth_maps: Arc::default(),
             depth_model: DepthModel::default(),
+            is_unscaled: false,
             pictures: Arc::default(),
             relative_poses: Arc::default(),
             progress: Progress::default(),
         }
     }
 
-    /// Adds timestamp [s] and depth of the next frame, and its picture from the first depth on.
+    /// Adds timestamp [s] and depth of the next frame, and its picture from the first depth on. Depth
+    /// without any reading is none.
     pub(crate) fn add_input(
         &mut self,
         picture: &Image<f32>,
         timestamp: f64,
         depth: Option<&DepthPicture<'_>>,
     ) {
+        let depth = depth.map(DepthMap::new).filter(DepthMap::has_readings);
         let is_kept = depth.is_some() || self.pictures.last().is_some_and(Option::is_some);
         Arc::make_mut(&mut self.timestamps).push(timestamp);
-        Arc::make_mut(&mut self.depth_maps).push(depth.map(DepthMap::new));
+        Arc::make_mut(&mut self.depth_maps).push(depth);
         Arc::make_mut(&mut self.pictures).push(is_kept.then(|| StoredPicture::new(picture)));
     }
 
@@ -141,14 +150,22 @@ impl SfmState {
             timestamps: Arc::clone(&self.timestamps),
             depth_maps: Arc::clone(&self.depth_maps),
             depth_model: self.depth_model.clone(),
+            is_unscaled: self.is_unscaled,
             progress: self.progress.without_listener(),
             ..Self::new(self.camera, self.tracks.keyframes_only())
         }
     }
 
-    /// Whether any frame has measured depth: lengths are metric then.
+    /// Whether any frame has measured depth.
     pub(crate) fn has_depth(&self) -> bool {
         self.depth_maps.iter().any(Option::is_some)
+    }
+
+    /// Moves poses and landmarks by a similarity of the world.
+    pub(crate) fn transform(&mut self, by: &Similarity<f64>) {
+        self.poses.iter_mut().flatten().for_each(|pose| *pose = by.apply_to_pose(*pose));
+        let landmarks = self.landmarks.iter_mut().flatten();
+        landmarks.for_each(|landmark| *landmark = landmark.transformed(by));
     }
 
     /// Removes all poses and landmarks; tracks, camera and distortion stay.

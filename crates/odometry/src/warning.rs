@@ -77,6 +77,14 @@ pub enum Warning {
         /// Median of the time in between [s].
         seconds: f64,
     },
+    /// Depth on which no length rests, because hardly any point has a reading that agrees with others.
+    #[error(
+        "{count} frames came with depth, but hardly any point of the path has a reading, so that lengths have no unit: check that depth is not blank, in metres, and registered to the colour pictures"
+    )]
+    DepthNotUsed {
+        /// Number of frames with depth.
+        count: usize,
+    },
     /// Consecutive frames, as in a fast turn, that hardly bind the scale of the path behind them to
     /// that before.
     #[error(

@@ -59,6 +59,9 @@ type Displacement = [f64; 3];
 /// Finds offset and delay of the depth pictures; zero where they are not clearly better. Returns
 /// whether they changed.
 pub(crate) fn calibrate_depth(state: &mut SfmState) -> bool {
+    if state.is_unscaled {
+        return false;
+    }
     let Some(best) = displacement_by_pictures(state) else { return false };
     // Landmarks that the pictures determine badly are off together, which a displacement may fit:
     // it must also suit landmarks that pictures and depth determine together.

@@ -40,6 +40,11 @@ impl DepthMap {
         Self { depth: Arc::new(depth), step: 1 << halvings, timestamp: picture.timestamp }
     }
 
+    /// Whether there is a reading anywhere.
+    pub(crate) fn has_readings(&self) -> bool {
+        self.depth.data.iter().any(|z| *z > 0.0 && z.is_finite())
+    }
+
     /// Drops the readings of blocks of the picture.
     pub(crate) fn clear(&mut self, blocks: &Image<bool>) {
         let depth = Arc::make_mut(&mut self.depth);

@@ -1,5 +1,6 @@
 //! Depth readings of observations, compared with the landmarks that they see.
 
+use crate::depth::sensor_model::DepthModel;
 use crate::multiview::landmark::Landmark;
 use crate::multiview::lens_distortion::undistort;
 use crate::rolling_shutter::readout::{camera_velocity, median_frame_interval};
@@ -9,12 +10,12 @@ use i2slam_geometry::{Camera, Pose};
 use std::sync::Arc;
 
 /// Difference to the landmark from which on a reading shows something else [standard deviations].
-const MAX_READING_ERROR: f64 = 6.0;
+pub(super) const MAX_READING_ERROR: f64 = 6.0;
 /// Readings of a landmark from which on their residuals tell the sensor's deviation.
 const MIN_READINGS_PER_LANDMARK: usize = 4;
 
 /// Gives every observation of a frame with a depth picture its reading; readings that contradict a
-/// landmark are left out.
+/// landmark are left out, and all of them while the map has no unit of length.
 ///
 /// A depth picture taken at another time than the colour picture is read where the landmark was
 /// then, and the reading is corrected by how much nearer the landmark came in between.
@@ -45,21 +46,30 @@ fn read_depth_within(state: &mut SfmState, frame: usize, interval: f64, max_erro
     for track in &by_frame[frame] {
         let landmark = state.landmarks[*track].as_ref();
         let Some(o) = state.tracks.tracks[*track].observation_in_mut(frame) else { continue };
-        let flat = undistort(&camera, distortion, o.raw);
-        let mut at: [f64; 2] =
-            std::array::from_fn(|i| o.raw[i] + o.at[i] - flat[i] + model.shift[i]);
+        let mut at = position_in_depth_picture(&camera, distortion, model, o);
         let view = landmark.zip(poses.as_ref());
         let between = view.and_then(|(landmark, poses)| motion(&camera, landmark, poses));
         let (moved, nearer) = between.unwrap_or_default();
         (0..2).for_each(|i| at[i] += moved[i]);
         let read = map.inverse_at(at).map(|inverse| inverse - nearer);
         o.depth = read
-            .filter(|inverse| *inverse > 0.0)
+            .filter(|inverse| *inverse > 0.0 && !state.is_unscaled)
             .map(|inverse| DepthReading { inverse, sigma: model.sigma(inverse) });
         let residual = view.and_then(|(landmark, [pose, _])| residual(landmark, pose, o));
         o.depth =
             o.depth.filter(|reading| residual.is_none_or(|r| r.abs() <= max_error * reading.sigma));
     }
+}
+
+/// Position of an observation in a depth picture that was taken with its colour picture [px].
+pub(super) fn position_in_depth_picture(
+    camera: &Camera<f64>,
+    distortion: [f64; 2],
+    model: &DepthModel,
+    o: &Observation,
+) -> [f64; 2] {
+    let flat = undistort(camera, distortion, o.raw);
+    std::array::from_fn(|i| o.raw[i] + o.at[i] - flat[i] + model.shift[i])
 }
 
 /// Updates the sensor's deviations from all registered frames, and reads depth anew.

@@ -33,7 +33,7 @@ pub(crate) fn diagnose(state: &SfmState, pictures: &PictureChecks) -> Findings {
         .chain(frozen_warnings(&frozen))
         .chain(shuffled.map(|frames| Warning::ShuffledFrames { frames }))
         .chain(moving.map(|part| Warning::MovingObject { frames: part.frames, share: part.share }))
-        .chain(pictures.depth_warning())
+        .chain(pictures.depth_warnings(state.is_metric()))
         .collect();
     Findings { warnings, frozen }
 }

@@ -21,24 +21,35 @@ pub(crate) struct PictureChecks {
     pub(crate) is_repeat: Vec<bool>,
     /// Whether a frame's picture is black or of one colour.
     pub(crate) is_blank: Vec<bool>,
-    /// Times from the pictures to depth that was left out [s].
-    pub(crate) depth_delays: Vec<f64>,
+    /// Number of depth pictures in time with their colour pictures, and times to the others [s].
+    depth_in_time: usize,
+    late_depth: Vec<f64>,
 }
 
 impl PictureChecks {
-    /// Looks at the next picture, whose depth was left out if it was taken so far from it [s].
-    pub(crate) fn add(&mut self, picture: &Image<f32>, depth_delay: Option<f64>) {
+    /// Looks at the next picture.
+    pub(crate) fn add(&mut self, picture: &Image<f32>) {
         let is_blank = blank_reason(picture).is_some();
         self.is_repeat.push(!is_blank && is_repetition(&self.last, picture));
         self.is_blank.push(is_blank);
         self.last.clone_from(picture);
-        self.depth_delays.extend(depth_delay);
     }
 
-    /// Warning of depth that was left out.
-    pub(crate) fn depth_warning(&self) -> Option<Warning> {
-        let seconds = median(&mut self.depth_delays.clone())?;
-        Some(Warning::DepthNotInTime { count: self.depth_delays.len(), seconds })
+    /// Counts a depth picture taken so far from its colour picture [s].
+    pub(crate) fn add_depth(&mut self, delay: f64, is_in_time: bool) {
+        match is_in_time {
+            true => self.depth_in_time += 1,
+            false => self.late_depth.push(delay),
+        }
+    }
+
+    /// Warnings of depth that came too late, or on which no length rests.
+    pub(crate) fn depth_warnings(&self, is_metric: bool) -> impl Iterator<Item = Warning> {
+        let late = median(&mut self.late_depth.clone())
+            .map(|seconds| Warning::DepthNotInTime { count: self.late_depth.len(), seconds });
+        let is_unused = self.depth_in_time > 0 && !is_metric;
+        let unused = is_unused.then_some(Warning::DepthNotUsed { count: self.depth_in_time });
+        late.into_iter().chain(unused)
     }
 }
 
@@ -94,7 +105,7 @@ mod tests {
             grey,
             picture(0.0, 5).resized_by_area(20, 15),
         ] {
-            checks.add(&next, None);
+            checks.add(&next);
         }
         assert_eq!(checks.is_repeat, [false, false, true, false, true, false, false, false]);
         assert_eq!(checks.is_blank, [false, false, false, false, false, true, true, false]);

@@ -133,6 +133,7 @@ fn median_landmark_distance(state: &SfmState) -> f64 {
 
 /// Keyframes verified against much older ones.
 fn find_loop_candidates(state: &SfmState) -> Vec<LoopCandidate> {
+    let is_scale_measured = state.is_scale_measured();
     let search = |(new, image): (usize, &Arc<KeyframeImage>)| {
         state.poses[image.frame].filter(|_| !state.progress.is_cancelled())?;
         let may = |old: usize, other: &KeyframeImage| {
@@ -143,7 +144,7 @@ fn find_loop_candidates(state: &SfmState) -> Vec<LoopCandidate> {
         let of = |(old, other): (usize, &KeyframeImage)| {
             let found = match_and_verify(state, image, other)?;
             // Measured lengths do not drift.
-            let scale = if state.has_depth() { 1.0 } else { found.scale? };
+            let scale = if is_scale_measured { 1.0 } else { found.scale? };
             let place = Similarity::from_pose(found.world_from_camera, scale);
             Some(LoopCandidate { new, old, found, place })
         };
@@ -221,7 +222,7 @@ fn distribute_drift(state: &mut SfmState, candidates: &[LoopCandidate], unit: f6
         edges.push(PoseGraphEdge { first, second, measured, weight: LOOP_EDGE_WEIGHT });
     }
     let mut after = before.clone();
-    let lengths = GraphLengths { unit, is_metric: state.has_depth() };
+    let lengths = GraphLengths { unit, is_metric: state.is_scale_measured() };
     optimize_pose_graph(&mut after, &edges, lengths);
     let moves: Vec<Similarity<f64>> =
         after.iter().zip(&before).map(|(after, before)| after.compose(&before.inverse())).collect();

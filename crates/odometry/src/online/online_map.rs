@@ -5,6 +5,7 @@
 //! between keyframes move with the one before them.
 
 use crate::depth::readings::{read_depth_at_prediction, read_depth_in};
+use crate::depth::scale::scale_to_readings;
 use crate::register::dense_constraints::{RECENT_KEYFRAMES, RecentKeyframes};
 use crate::register::initialization::initialize;
 use crate::register::registration::{
@@ -164,18 +165,21 @@ impl OnlineMap {
         read_depth_in(&mut self.state, frame, interval);
     }
 
-    /// Adds the landmarks of a keyframe and adjusts the keyframes around it.
+    /// Adds the landmarks of a keyframe and adjusts the keyframes around it, or all where the map just
+    /// got its unit of length.
     fn add_keyframe(&mut self, frame: usize, interval: f64) {
         for earlier in frame.saturating_sub(BACKWARD_FRAMES)..frame {
             self.measure_again(earlier, interval);
         }
         let state = &mut self.state;
+        let is_rescaled = scale_to_readings(state);
         self.recent_keyframes.align(state, frame);
         let before = posed_keyframes(state);
         let adjusted_at = &mut self.adjusted_keyframes;
         state.with_keyframes_alone(|state| {
             state.triangulate_missing_in(frame);
-            match before.len() as f64 >= GLOBAL_ADJUSTMENT_GROWTH * *adjusted_at as f64 {
+            let has_grown = before.len() as f64 >= GLOBAL_ADJUSTMENT_GROWTH * *adjusted_at as f64;
+            match is_rescaled || has_grown {
                 true => {
                     *adjusted_at = before.len();
                     adjust_globally(state, false);
@@ -246,8 +250,8 @@ impl OnlineMap {
         usual.map_or(f64::INFINITY, |usual| usual / explained.max(1) as f64)
     }
 
-    /// Moves the map to the world of another one with the same keyframes, by colour alone with its
-    /// unit of length.
+    /// Moves the map to the world of another one with the same keyframes, with its unit of length if
+    /// it has none of its own.
     fn move_to_world_of(&mut self, other: &SfmState) {
         let known = |frame: &usize| Some((other.poses[*frame]?, self.state.poses[*frame]?));
         let common: Vec<(Pose<f64>, Pose<f64>)> =
@@ -258,14 +262,11 @@ impl OnlineMap {
         };
         let length = |a: &Pose<f64>, b: &Pose<f64>| (a.translation - b.translation).norm();
         let ratio = length(there, last_there) / length(here, last_here);
-        let is_scaled = !other.has_depth() && ratio.is_finite() && ratio > 0.0;
+        let is_scaled = self.state.is_unscaled && ratio.is_finite() && ratio > 0.0;
         let scale = if is_scaled { ratio } else { 1.0 };
         let by = Similarity::from_pose(*there, scale)
             .compose(&Similarity::from_pose(*here, 1.0).inverse());
-        let SfmState { poses, landmarks, .. } = &mut self.state;
-        poses.iter_mut().flatten().for_each(|pose| *pose = by.apply_to_pose(*pose));
-        let landmarks = landmarks.iter_mut().flatten();
-        landmarks.for_each(|landmark| *landmark = landmark.transformed(&by));
+        self.state.transform(&by);
     }
 }
 

@@ -30,7 +30,7 @@ const MAX_PART_FRAMES: usize = 24;
 
 /// Aligns all frames to the keyframes around them.
 pub(crate) fn add_dense_constraints(state: &mut SfmState) {
-    if !state.has_depth() || state.pictures.is_empty() {
+    if !state.is_metric() || state.pictures.is_empty() {
         return;
     }
     state.progress.report(Stage::BundleAdjustment, 0, 0);
@@ -111,8 +111,11 @@ impl Debug for RecentKeyframes {
 }
 
 impl RecentKeyframes {
-    /// Aligns a new keyframe to the last ones.
+    /// Aligns a new keyframe to the last ones, in a map whose lengths are those of depth.
     pub(crate) fn align(&mut self, state: &mut SfmState, frame: usize) {
+        if state.is_unscaled {
+            return;
+        }
         let Some(view) = PreparedView::new(state, frame) else { return };
         let aligned = |(reference, known): &(usize, Arc<PreparedView>)| {
             constraint(state, (*reference, known), (frame, &view))

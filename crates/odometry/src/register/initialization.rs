@@ -1,5 +1,6 @@
 //! Initialization from two keyframes.
 
+use crate::depth::readings::read_depth;
 use crate::error::OdometryError;
 use crate::multiview::triangulation::parallax;
 use crate::multiview::two_view::{RelativePose, estimate_relative_pose, fit_rotation, ray_pairs};
@@ -42,11 +43,17 @@ struct KeyframePair {
 }
 
 /// Poses one of the keyframes in `places` of an empty state whose points have measured depth, or two
-/// of them, and triangulates their shared points.
+/// of them, and triangulates their shared points. Two of them give no unit of length.
 pub(crate) fn initialize(state: &mut SfmState, places: Range<usize>) -> Result<(), OdometryError> {
+    // A map that began by parallax and was given up did not read depth.
+    if std::mem::take(&mut state.is_unscaled) {
+        read_depth(state);
+    }
     if initialize_from_depth(state, places.clone()) {
         return Ok(());
     }
+    state.is_unscaled = true;
+    read_depth(state);
     initialize_from_parallax(state, places)
 }
 

@@ -88,7 +88,7 @@ pub(crate) fn adjust_remaining_frames(state: &mut SfmState, adjust_focal: bool) 
 }
 
 fn adjusts_all(state: &SfmState) -> bool {
-    !state.has_depth() && state.posed_frames().len() <= MAX_JOINTLY_ADJUSTED_FRAMES
+    !state.is_metric() && state.posed_frames().len() <= MAX_JOINTLY_ADJUSTED_FRAMES
 }
 
 /// Adjusts the keyframes jointly, and every frame between them to their landmarks; returns the mean

@@ -2,7 +2,7 @@
 
 use crate::relative_error;
 use crate::scene::{camera, depth, moving, picture, texture, tracked};
-use i2slam_geometry::{Camera, Image};
+use i2slam_geometry::{Camera, Image, Pose, Rotation, Vec3};
 use i2slam_odometry::{
     DepthPicture, FrontEnd, Intrinsics, PictureError, Progress, Reconstruction, Warning,
 };
@@ -154,4 +154,67 @@ fn depth_that_was_not_taken_with_its_picture_is_not_used() {
     let told = told.map(|warning| matches!(warning, Warning::DepthNotInTime { count: 16, .. }));
     assert_eq!(told, Some(true), "{:?}", other_clock.warnings);
     assert!(result(Some(0.01)).depth_model.is_some());
+}
+
+/// A camera that sways, so that it sees the same points all the time.
+fn swaying(i: usize) -> Pose<f64> {
+    let s = 0.3 * i as f64;
+    let turn = Vec3::new(0.02 * s.sin(), 0.03 * (0.7 * s).sin(), 0.01 * (1.3 * s).sin());
+    Pose::new(Rotation::exp(turn), Vec3::new(0.2 * s.sin(), 0.05 * (0.6 * s).sin(), 0.0))
+}
+
+/// The front end's last pose when its frame came, and the result, with depth where `is_read`.
+fn with_some_depth(
+    is_read: impl Fn(usize, [f64; 2]) -> bool,
+) -> (Option<Pose<f64>>, Reconstruction) {
+    let mut front_end = FrontEnd::new(Intrinsics::Known(camera()));
+    let mut online = None;
+    for i in 0..SWAY_FRAMES {
+        let depth = Image::from_fn(camera().width, camera().height, 1, |_, column, row| {
+            let at = [column as f64 + 0.5, row as f64 + 0.5];
+            if is_read(i, at) { depth(swaying(i), at) as f32 } else { 0.0 }
+        });
+        let timestamp = i as f64 / 30.0;
+        let depth = DepthPicture { depth: &depth, timestamp };
+        let update = front_end.push(&picture(3, swaying(i), 1.0), timestamp, Some(&depth));
+        online = update.expect("they fit").pose;
+    }
+    (online, front_end.finish(Progress::default()).expect("a path"))
+}
+
+/// Frames until the swaying camera is far from where it began.
+const SWAY_FRAMES: usize = 27;
+
+/// A map that begins by parallax gets its unit of length from the first readings.
+#[test]
+fn depth_that_comes_late_gives_metres() {
+    let (online, found) = with_some_depth(|i, _| i >= SWAY_FRAMES / 3);
+    let length = |pose: Option<Pose<f64>>| pose.expect("a pose").translation.norm();
+    let truth = length(Some(swaying(0).inverse() * swaying(SWAY_FRAMES - 1)));
+    for (found, name) in [(found.poses[SWAY_FRAMES - 1], "at the end"), (online, "online")] {
+        let ratio = length(found) / truth;
+        assert!((ratio - 1.0).abs() < 0.03, "{name}: {ratio}");
+    }
+    assert!(relative_error(&found, swaying) < 0.01);
+    assert!(found.depth_model.is_some() && found.warnings.is_empty(), "{:?}", found.warnings);
+}
+
+#[test]
+fn depth_without_readings_is_colour_alone_and_told() {
+    let (_, blank) = with_some_depth(|_, _| false);
+    let colour = (0..SWAY_FRAMES).map(|i| picture(3, swaying(i), 1.0));
+    let alone = tracked(Intrinsics::Known(camera()), colour);
+    let alone = alone.finish(Progress::default()).expect("a path");
+    assert_eq!((blank.poses, blank.online_poses), (alone.poses, alone.online_poses));
+    assert_eq!(blank.depth_model, None);
+    assert_eq!(blank.warnings, [Warning::DepthNotUsed { count: SWAY_FRAMES }]);
+}
+
+/// A sensor that sees a small part of every picture.
+#[test]
+fn depth_of_too_few_points_is_told() {
+    let (_, found) = with_some_depth(|_, at| at[0] > 180.0 && at[1] > 130.0);
+    assert_eq!(found.depth_model, None);
+    assert_eq!(found.warnings, [Warning::DepthNotUsed { count: SWAY_FRAMES }]);
+    assert!(relative_error(&found, swaying) < 0.02);
 }
