@@ -10,11 +10,9 @@
 
 use super::blocks::Curvature;
 use super::normal_equations::{BundleStep, SchurSystem, gradient_along};
+use super::picture_region::REGIONS;
 use super::sparsity::BlockSparsity;
 use super::{Bundle, GLOBALS};
-
-/// Regions of the picture, across and down.
-const REGIONS: [usize; 2] = [4, 3];
 
 /// Covariance of the logarithm of the focal length and of the two distortion coefficients, or of
 /// the readout [frame intervals].
@@ -31,9 +29,8 @@ impl Bundle {
         let by_point = self.clustered_covariance(&inverse_columns, points, |landmark, _| landmark);
         let regions: Vec<usize> =
             (0..points).map(|landmark| self.picture_region(landmark)).collect();
-        let count = REGIONS[0] * REGIONS[1];
         let by_region =
-            self.clustered_covariance(&inverse_columns, count, |landmark, _| regions[landmark]);
+            self.clustered_covariance(&inverse_columns, REGIONS, |landmark, _| regions[landmark]);
         let by_picture =
             self.clustered_covariance(&inverse_columns, self.poses.len(), |_, pose| pose);
         let all = [by_point, by_region, by_picture].into_iter();
@@ -67,16 +64,5 @@ impl Bundle {
         let clusters = sums.iter().flatten().count() as f64;
         let few = clusters / (clusters - 1.0);
         out.map(|row| row.map(|v| few * v))
-    }
-
-    /// Region of the picture in which a landmark was first observed.
-    fn picture_region(&self, landmark: usize) -> usize {
-        let at = self.observations[landmark].first().map_or([0.0; 2], |observation| observation.at);
-        let size = [self.camera.width, self.camera.height];
-        let [across, down] = std::array::from_fn(|i| {
-            let share = (at[i] / size[i] as f64).clamp(0.0, 1.0);
-            ((share * REGIONS[i] as f64) as usize).min(REGIONS[i] - 1)
-        });
-        down * REGIONS[0] + across
     }
 }

@@ -15,6 +15,7 @@
 mod blocks;
 mod covariance;
 mod normal_equations;
+mod picture_region;
 mod pose_scatter;
 mod relative_pose;
 mod response;

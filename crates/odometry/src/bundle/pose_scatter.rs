@@ -20,6 +20,7 @@
 use super::Bundle;
 use super::blocks::Curvature;
 use super::normal_equations::SchurSystem;
+use super::picture_region::REGIONS;
 use super::response::observation_gradients;
 use super::sparsity::BlockSparsity;
 use i2slam_compute::Random;
@@ -27,8 +28,6 @@ use rayon::prelude::*;
 
 /// Samples: a deviation of three coordinates from 64 of them is right within 6 %.
 const SAMPLES: usize = 64;
-/// Regions of a picture, across and down, whose points err together.
-const REGIONS: [usize; 2] = [4, 3];
 
 /// Tangents of every pose of a bundle.
 type Tangents = Vec<[f64; 6]>;
@@ -59,7 +58,7 @@ impl Bundle {
         let factor_scale = self.factor_scale().max(noise_scale);
         let sample = |seed: usize| {
             let mut random = Random::new(seed as u64);
-            let regions = self.poses.len() * REGIONS[0] * REGIONS[1];
+            let regions = self.poses.len() * REGIONS;
             let signs: Vec<f64> = (0..regions).map(|_| sign(&mut random)).collect();
             let mut gradient = system.zero_gradient();
             for (observation, cluster) in observations.iter().zip(&clusters) {
@@ -93,13 +92,8 @@ impl Bundle {
 
     /// Number of the region and pose in which a landmark was first observed.
     fn anchor_region(&self, landmark: usize) -> usize {
-        let Some(first) = self.observations[landmark].first() else { return 0 };
-        let size = [self.camera.width, self.camera.height];
-        let [column, row] = std::array::from_fn(|i| {
-            let share = (first.at[i] / size[i] as f64).clamp(0.0, 1.0);
-            ((share * REGIONS[i] as f64) as usize).min(REGIONS[i] - 1)
-        });
-        (first.pose * REGIONS[1] + row) * REGIONS[0] + column
+        let pose = self.observations[landmark].first().map_or(0, |first| first.pose);
+        pose * REGIONS + self.picture_region(landmark)
     }
 }
 
