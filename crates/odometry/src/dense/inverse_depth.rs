@@ -14,6 +14,8 @@ const PLANE_STEP: f64 = 0.7;
 const PLANE_COUNT_RANGE: (usize, usize) = (24, 128);
 /// Labels to either side of each refinement, and their distance in steps of the sweep.
 const REFINEMENTS: [(usize, f32); 2] = [(4, 0.5), (3, 0.25)];
+/// Largest step between coarse pixels across which inverse depth is interpolated, over its value.
+const MAX_UPSAMPLED_STEP: f32 = 0.1;
 /// Mean cost that noise alone leaves.
 const MIN_COST: f32 = 0.01;
 /// Cost above which a match has no value.
@@ -174,7 +176,7 @@ fn median_filter(image: &Image<f32>) -> Image<f32> {
     out
 }
 
-/// Enlarges a coarse image, linearly between pixels of one surface.
+/// Enlarges a coarse image, linearly where it is smooth.
 fn upsample(image: &Image<f32>, width: usize, height: usize) -> Image<f32> {
     let mut out = Image::new(width, height, 1);
     let place = |i: usize, from: usize, to: usize| {
@@ -186,7 +188,7 @@ fn upsample(image: &Image<f32>, width: usize, height: usize) -> Image<f32> {
             let nearest = image.at(0, u as usize, v as usize);
             let between = image.tap(u, v).map(|tap| (tap.values(&image.data), tap));
             out.data[row * width + column] = match between {
-                Some((values, tap)) if is_one_surface(&values) => tap.interpolate(values).0,
+                Some((values, tap)) if is_smooth(&values) => tap.interpolate(values).0,
                 _ => nearest,
             };
         }
@@ -194,8 +196,10 @@ fn upsample(image: &Image<f32>, width: usize, height: usize) -> Image<f32> {
     out
 }
 
-fn is_one_surface(values: &[f32; 4]) -> bool {
+/// Whether estimates of neighbouring coarse pixels differ so little that those in between lie on a
+/// line; measured depths are told apart by half of it ([`crate::alignment::is_one_surface`]).
+fn is_smooth(values: &[f32; 4]) -> bool {
     let least = values.iter().copied().fold(f32::INFINITY, f32::min);
     let most = values.iter().copied().fold(f32::NEG_INFINITY, f32::max);
-    most - least < 0.1 * least.abs()
+    most - least < MAX_UPSAMPLED_STEP * least.abs()
 }
