@@ -5,11 +5,12 @@ use crate::intrinsics::focal_length::Intrinsics;
 use crate::intrinsics::observability::reestimate_intrinsics;
 use crate::multiview::lens_distortion::brown_coefficients;
 use crate::pose_deviation::{PoseDeviation, pose_deviations};
+use crate::rolling_shutter::readout::{camera_velocity, median_frame_interval};
 use crate::sfm_state::SfmState;
 use crate::track::tracks::Observation;
 use crate::warning::Warning;
 use i2slam_compute::median;
-use i2slam_geometry::{Camera, Pose, StampedPose, Tangent, Trajectory};
+use i2slam_geometry::{Camera, Pose, StampedPose, Trajectory};
 
 /// Consecutive lost frames of a warning, and points tracked in them that show another place.
 const MIN_LISTED_FRAMES: usize = 4;
@@ -91,23 +92,16 @@ impl Reconstruction {
     }
 
     /// The camera of a frame as seen from where it was when a depth picture with this timestamp
-    /// \[s\] was taken, at the velocity between the neighbouring frames.
+    /// \[s\] was taken, at the velocity between the frames around it; the identity where that is not
+    /// known.
     pub fn depth_from_colour(&self, frame: usize, depth_timestamp: f64) -> Pose<f64> {
-        let known = |frame: usize| {
-            Some((*self.timestamps.get(frame)?, self.poses.get(frame).copied().flatten()?))
-        };
-        let Some(here) = known(frame) else { return Pose::identity() };
-        let before = frame.checked_sub(1).and_then(known).unwrap_or(here);
-        let after = known(frame + 1).unwrap_or(here);
+        let velocity = median_frame_interval(&self.timestamps)
+            .filter(|_| frame < self.poses.len())
+            .and_then(|interval| camera_velocity(&self.poses, &self.timestamps, frame, interval));
+        let Some(velocity) = velocity else { return Pose::identity() };
         let delay = self.depth_model.as_ref().map_or(0.0, |model| model.delay);
-        let share = (depth_timestamp + delay - here.0) / (after.0 - before.0);
-        if !share.is_finite() {
-            return Pose::identity();
-        }
-        let turn = before.1.local(after.1).rotation * share;
-        let moved = (after.1.translation - before.1.translation) * share;
-        let moved = here.1.rotation.inverse().rotate(moved);
-        Pose::identity().retract(Tangent { translation: moved, rotation: turn }).inverse()
+        let later = depth_timestamp + delay - self.timestamps[frame];
+        Pose::identity().retract(velocity.scaled(later)).inverse()
     }
 
     /// Poses of all registered frames.
@@ -322,7 +316,7 @@ mod tests {
     use super::*;
     use crate::fixtures::{self, camera};
     use crate::track::tracks::{DepthReading, Tracks};
-    use i2slam_geometry::Vec3;
+    use i2slam_geometry::{Rotation, Vec3};
 
     /// A camera at rest sees no parallax: depth is as precise as its one reading, whether the
     /// tracker claims too little or too much.
@@ -347,6 +341,25 @@ mod tests {
                 keyframes[0].depths.iter().map(|d| inverse_depth(d).1).collect();
             let usual = median(&mut deviations).expect("landmarks");
             assert!((usual / 0.01).ln().abs() < 0.1, "{usual} with {error} px");
+        }
+    }
+
+    /// Where the frames around are a second away, their motion tells nothing about milliseconds.
+    #[test]
+    fn the_motion_until_a_depth_picture_is_that_of_near_frames() {
+        let state = SfmState::new(camera(), Tracks { frames: 9, ..Tracks::default() });
+        let step = Vec3::new(0.1, 0.0, 0.02);
+        let timestamps: Vec<f64> =
+            (0..9).map(|i| f64::from(i) / 30.0 + if i > 4 { 1.0 } else { 0.0 }).collect();
+        let intrinsics = Intrinsics::Known(camera());
+        let mut found =
+            build_reconstruction(state, &timestamps, &intrinsics, (0.0, false), &[false; 9]);
+        let pose = |i: i32| Some(Pose::new(Rotation::identity(), step * f64::from(i)));
+        found.poses = (0..9).map(pose).collect();
+        let moved = found.depth_from_colour(2, timestamps[2] + 0.01).translation;
+        assert!((moved + step * 0.3).norm() < 1e-12, "{moved:?}");
+        for frame in [4, 5, 9] {
+            assert_eq!(found.depth_from_colour(frame, 0.15), Pose::identity());
         }
     }
 

@@ -230,7 +230,7 @@ fn of_frame(
     let map = state.depth_maps.get(frame).and_then(Option::as_ref);
     let (Some(pose), Some(map)) = (visual.poses[frame], map) else { return Vec::new() };
     // Velocities of all frames; lengths of both states differ by little.
-    let velocity = camera_velocity(state, &state.timestamps, frame, interval);
+    let velocity = camera_velocity(&state.poses, &state.timestamps, frame, interval);
     // A short time, so that differences are velocities.
     let short = 1e-3 * interval;
     let soon = velocity.map_or(pose, |v| pose.retract(v.scaled(short)));

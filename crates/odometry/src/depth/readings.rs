@@ -105,7 +105,7 @@ fn poses_at_both_times(state: &SfmState, frame: usize, interval: f64) -> Option<
     let (pose, map) = (state.poses[frame]?, state.depth_maps.get(frame)?.as_ref()?);
     let stamp = state.timestamps.get(frame)?;
     let later = map.timestamp + state.depth_model.delay - stamp;
-    let velocity = camera_velocity(state, &state.timestamps, frame, interval)?;
+    let velocity = camera_velocity(&state.poses, &state.timestamps, frame, interval)?;
     Some([pose, pose.retract(velocity.scaled(later))])
 }
 

@@ -153,7 +153,7 @@ impl PreparedView {
         let picture = state.pictures.get(frame)?.as_ref()?.picture();
         let camera = camera_of(&state.camera, &picture);
         let interval = median_frame_interval(&state.timestamps)?;
-        let velocity = camera_velocity(state, &state.timestamps, frame, interval);
+        let velocity = camera_velocity(&state.poses, &state.timestamps, frame, interval);
         let velocity = velocity.unwrap_or_else(Tangent::zero);
         let registered = |map: &DepthMap| {
             let later = map.timestamp + state.depth_model.delay - state.timestamps[frame];

@@ -149,7 +149,7 @@ pub(crate) fn correct_observations_in(
     timestamps: &[f64],
     (readout, interval): (f64, f64),
 ) {
-    let moving = state.poses[frame].zip(camera_velocity(state, timestamps, frame, interval));
+    let moving = state.poses[frame].zip(camera_velocity(&state.poses, timestamps, frame, interval));
     let (camera, distortion, by_frame) =
         (state.camera, state.distortion, Arc::clone(&state.by_frame));
     for track in &by_frame[frame] {
@@ -172,17 +172,18 @@ pub(crate) fn correct_observations_in(
     }
 }
 
-/// Velocity of a frame's camera per second, in its own frame, from its neighbours.
+/// Velocity of a frame's camera per second, in its own frame, from its neighbours; `None` where
+/// those are far away in median frame intervals [s].
 pub(crate) fn camera_velocity(
-    state: &SfmState,
+    poses: &[Option<Pose<f64>>],
     timestamps: &[f64],
     frame: usize,
     interval: f64,
 ) -> Option<Tangent<f64>> {
-    let known = |f: usize| state.poses[f].map(|p| (timestamps[f], p));
+    let known = |f: usize| poses[f].map(|p| (timestamps[f], p));
     let here = known(frame)?;
     let before = (0..frame).rev().find_map(known).unwrap_or(here);
-    let after = (frame + 1..state.poses.len()).find_map(known).unwrap_or(here);
+    let after = (frame + 1..poses.len()).find_map(known).unwrap_or(here);
     let time = after.0 - before.0;
     let is_near = |(t, _): &(f64, Pose<f64>)| (t - here.0).abs() < MAX_VELOCITY_GAP * interval;
     if time <= 0.0 || !is_near(&before) || !is_near(&after) {
