@@ -21,6 +21,9 @@ pub use i2slam_formation::{Quadrature, StartCurve, WhiteBalanceModel};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
+/// Most steps after the last frame for each keyframe: later ones gain less than a tenth of a decibel.
+const FINAL_STEPS_PER_KEYFRAME: usize = 25;
+
 /// Declares a section of settings. The doc comments of its keys are the help in printed presets.
 macro_rules! section {
     (
@@ -215,7 +218,8 @@ section! {
         seconds_per_frame: f32,
         /// Adam steps of the round that starts the map.
         first_iterations: usize,
-        /// Steps after the last frame, over all keyframes. SplaTAM: none.
+        /// Steps after the last frame, over all keyframes, fewer of few keyframes: at most 25 of each.
+        /// SplaTAM: none.
         final_iterations: usize,
         /// Hold out every n-th frame: tracked, but never mapped, for `eval --protocol held-out`. At
         /// least 2; 0 holds none out.
@@ -304,6 +308,11 @@ impl MappingConfig {
     /// Whether the frame or keyframe that comes `number`-th is held out; the first, 0, never is.
     pub(crate) fn holds_out(&self, number: usize) -> bool {
         self.hold_out > 0 && number > 0 && number.is_multiple_of(self.hold_out)
+    }
+
+    /// Steps after the last frame over so many keyframes.
+    pub(crate) fn final_steps(&self, keyframes: usize) -> usize {
+        self.final_iterations.min(FINAL_STEPS_PER_KEYFRAME * keyframes)
     }
 }
 

@@ -61,7 +61,7 @@ impl RuntimeEstimate {
 
     /// Time of `keyframes` keyframes among `frames` frames whose poses are known [s].
     pub fn total(&self, config: &Config, keyframes: usize, frames: usize) -> f64 {
-        let (per_keyframe, last) = steps(config);
+        let (per_keyframe, last) = steps(config, keyframes);
         let (keyframes, frames) = (keyframes as f64, frames as f64);
         let mapping = keyframes * (self.dense_depth + self.keyframe + per_keyframe * self.step);
         let localizations =
@@ -71,10 +71,10 @@ impl RuntimeEstimate {
 }
 
 /// Optimisation steps per keyframe, and after the last.
-fn steps(config: &Config) -> (f64, f64) {
+fn steps(config: &Config, keyframes: usize) -> (f64, f64) {
     let (mapping, field) = (&config.mapping, &config.hashgrid);
     match config.map.kind {
-        MapKind::Gaussian => (mapping.iterations as f64, mapping.final_iterations as f64),
+        MapKind::Gaussian => (mapping.iterations as f64, mapping.final_steps(keyframes) as f64),
         MapKind::HashGrid => {
             let share = f64::from(config.parameters.keyframed.surface_steps);
             (field.iterations as f64, share * field.final_iterations as f64)

@@ -204,7 +204,7 @@ impl Mapper for GaussianMapper {
         &mut self,
         context: &mut MappingContext<'_>,
     ) -> Result<FinalRefinement, SettingsError> {
-        let steps = context.config.mapping.final_iterations;
+        let steps = context.config.mapping.final_steps(context.keyframes.len());
         Ok(FinalRefinement { steps, relocalizations: Self::RELOCALIZATIONS })
     }
 
