@@ -152,7 +152,9 @@ impl OnlineMap {
         state.poses[frame] = None;
         state.poses[frame] = estimate_pose(state, frame).map(|found| found.world_from_camera);
         self.measure_again(frame, interval);
-        self.state.poses[frame] = refine_pose(&self.state, frame);
+        if let Some(refined) = refine_pose(&self.state, frame) {
+            self.state.poses[frame] = Some(refined);
+        }
         // Its velocity is known from both sides now.
         if frame > 0 {
             self.measure_again(frame - 1, interval);
