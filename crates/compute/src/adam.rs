@@ -97,6 +97,20 @@ impl Adam {
         self.steps = 0;
     }
 
+    /// Changes the coordinates of element number `element`, `N` parameters, by a rotation: the first
+    /// moment by `R m`, the second, whose off-diagonal terms are not kept, by `Σ R²ᵢⱼ vⱼ`.
+    pub fn rotate<const N: usize>(&mut self, element: usize, rotation: &[[f32; N]; N]) {
+        let range = element * N..(element + 1) * N;
+        let moments = (self.first.get_mut(range.clone()), self.second.get_mut(range));
+        let (Some(first), Some(second)) = moments else { return };
+        let (m, v): ([f32; N], [f32; N]) =
+            (std::array::from_fn(|i| first[i]), std::array::from_fn(|i| second[i]));
+        for (i, row) in rotation.iter().enumerate() {
+            first[i] = row.iter().zip(m).map(|(r, m)| r * m).sum();
+            second[i] = row.iter().zip(v).map(|(r, v)| r * r * v).sum();
+        }
+    }
+
     /// One step against `gradient`, with learning rate `rate`, in the units of the parameters.
     /// Parameters appended since the last step start with zero moments. An entry whose gradient
     /// is not finite counts as zero.
@@ -167,6 +181,20 @@ impl Adam {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// A quarter turn about the third axis exchanges the first two; elements without history stay so.
+    #[test]
+    fn moments_turn_with_their_element() {
+        let mut adam = Adam::new(AdamSettings::default());
+        adam.step(&mut [0.0; 6], &[1.0, 2.0, 3.0, 1.0, 2.0, 3.0], 0.1);
+        let (first, second) = (adam.first.clone(), adam.second.clone());
+        let turn = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]];
+        adam.rotate(1, &turn);
+        adam.rotate(2, &turn);
+        assert_eq!(adam.first[..3], first[..3]);
+        assert_eq!(adam.first[3..], [-first[4], first[3], first[5]]);
+        assert_eq!(adam.second[3..], [second[4], second[3], second[5]]);
+    }
 
     #[test]
     fn finds_the_minimum_of_a_bowl() {

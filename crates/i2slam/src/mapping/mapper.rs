@@ -10,6 +10,7 @@ use i2slam_formation::{CameraResponse, TrajectoryScale};
 use i2slam_geometry::{Image, Pose};
 use i2slam_radiance::RadianceMap;
 use i2slam_radiance::hashgrid::SettingsError;
+use std::collections::BTreeMap;
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -63,8 +64,9 @@ pub(crate) trait Mapper: Send {
         on_step: OnStep<'_>,
     ) -> bool;
 
-    /// Adapts the map to poses of keyframes that were corrected from outside.
-    fn correct(&mut self, _context: &MappingContext<'_>) {}
+    /// Adapts the map to corrected poses. `motions` are those of frames in the world, by their index,
+    /// where the map has to move along; none where poses were refined in the map itself.
+    fn correct(&mut self, _context: &MappingContext<'_>, _motions: &BTreeMap<usize, Pose<f64>>) {}
 
     fn map(&self) -> Map;
 }

@@ -1,5 +1,6 @@
 //! Sessions: frames or keyframes go in one by one, a reconstruction comes out.
 
+mod correction;
 mod error;
 mod frame_tracker;
 mod posed;
@@ -22,6 +23,7 @@ use i2slam_geometry::{Camera, Image};
 use i2slam_radiance::hashgrid::SettingsError;
 use posed::SourcePoses;
 use state::SessionState;
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// SLAM on one sequence.
@@ -182,7 +184,7 @@ impl Session {
             }
             if round < relocalizations {
                 tracker.relocalize(mapper, &mut context);
-                mapper.correct(&context);
+                mapper.correct(&context, &BTreeMap::new());
             }
         }
         Ok(())

@@ -27,9 +27,16 @@ pub(super) struct SourcePoses {
 
 impl SourcePoses {
     /// A pose in the world of the session, which is the camera of the first one.
-    fn place_in_world(&mut self, source_from_camera: Pose<f64>) -> Pose<f64> {
+    pub(super) fn place_in_world(&mut self, source_from_camera: Pose<f64>) -> Pose<f64> {
         let world = self.world_from_source.get_or_insert_with(|| source_from_camera.inverse());
         *world * source_from_camera
+    }
+
+    /// Replaces the pose that a keyframe came with, in the world of the session.
+    pub(super) fn correct(&mut self, index: usize, world_from_camera: Pose<f64>) {
+        if let Some(pose) = self.keyframes.get_mut(&index) {
+            *pose = world_from_camera;
+        }
     }
 }
 

@@ -444,3 +444,39 @@ fn results_do_not_depend_on_threads() {
         }
     }
 }
+
+/// What the second keyframe brought moves with it, and the picture it predicts stays.
+#[test]
+fn a_map_of_gaussians_follows_corrected_poses() {
+    let mut config = Config::preset("default-rgb").expect("known");
+    (config.mapping.first_iterations, config.mapping.iterations) = (1, 1);
+    let mut session = Session::refining(config, CAMERA, 30.0);
+    let mut counts = Vec::new();
+    for index in [0, 6] {
+        let depth = frame(index, pose(index)).depth.expect("measured").image;
+        let depth = Some(EstimatedDepth { depth: (*depth).clone(), variance: None });
+        let keyframe = PosedKeyframe { depth, ..keyframe(index, pose(index)) };
+        counts.push(session.add_keyframe(keyframe).expect("a keyframe").gaussians);
+    }
+    let means = |session: &Session| match session.reconstruction().map {
+        Map::Gaussians(map) => map.means,
+        Map::HashGrid(_) => Vec::new(),
+    };
+    let (before, was) = (means(&session), session.frames()[1].clone());
+    assert!(counts[1] > counts[0]);
+    session.correct(&BTreeMap::from([(6, moved(6)), (9, moved(1))]));
+    let (after, now) = (means(&session), &session.frames()[1]);
+    let off = |a: Pose<f64>, b: Pose<f64>| {
+        let off = a.local(b);
+        off.translation.norm() + off.rotation.norm()
+    };
+    assert!(off(now.middle(), pose(0).inverse() * moved(6)) < 1e-9);
+    let motion = now.middle() * was.middle().inverse();
+    assert!(motion.translation.norm() > 1e-3);
+    assert!(off(now.shutter.start, motion * was.shutter.start) < 1e-9);
+    assert_eq!(before[..counts[0]], after[..counts[0]]);
+    for (before, after) in before.iter().zip(&after).skip(counts[0]) {
+        let due = motion * Vec3::from_array(*before).cast::<f64>();
+        assert!((Vec3::from_array(*after).cast::<f64>() - due).norm() < 1e-5);
+    }
+}

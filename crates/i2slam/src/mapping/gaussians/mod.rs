@@ -1,5 +1,6 @@
 //! Mapping with 3D Gaussians.
 
+mod anchors;
 mod density_control;
 mod merge;
 mod optimizer;
@@ -14,6 +15,7 @@ use crate::config::Config;
 use crate::objective::{FrameObjective, Observation};
 use crate::reconstruction::Map;
 use crate::tracking::{TrackingContext, TrackingResult, sampling};
+use anchors::Anchors;
 use density_control::{SourceFrame, add_gaussians, prune, seed_map};
 use i2slam_formation::{CameraResponse, CentreVelocity, Formation, TrajectoryScale};
 use i2slam_geometry::{Camera, Image, Pose};
@@ -21,6 +23,7 @@ use i2slam_radiance::gaussian::{ColourActivation, GaussianMap, RasterSettings, S
 use i2slam_radiance::hashgrid::SettingsError;
 use merge::merge;
 use optimizer::GaussianOptimizer;
+use std::collections::BTreeMap;
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -33,6 +36,7 @@ const PRUNE_ITERATION: usize = 20;
 pub(crate) struct GaussianMapper {
     current: ComparedMap<GaussianMap>,
     optimizer: GaussianOptimizer,
+    anchors: Anchors,
     /// Largest depth of the first frame over the preset's ratio [m].
     scene_radius: f32,
     /// Whether the warning of a full map was given.
@@ -60,6 +64,7 @@ impl GaussianMapper {
                 objective: FrameObjective::new(camera.cast(), RasterSettings::default()),
             },
             optimizer: GaussianOptimizer::new(),
+            anchors: Anchors::default(),
             scene_radius: f32::INFINITY,
             is_full: false,
         }
@@ -76,8 +81,14 @@ impl GaussianMapper {
     fn prune(&mut self) {
         let keep = prune(&mut self.current.map, self.scene_radius);
         if keep.contains(&false) {
-            self.optimizer.retain(&keep);
+            self.retain(&keep);
         }
+    }
+
+    /// Drops optimiser state and anchors of removed Gaussians.
+    fn retain(&mut self, keep: &[bool]) {
+        self.optimizer.retain(keep);
+        self.anchors.retain(keep);
     }
 
     /// Merges Gaussians of a map beyond its capacity, with room for the next frames.
@@ -88,7 +99,7 @@ impl GaussianMapper {
         }
         let target = (MERGED_SHARE * capacity as f64) as usize;
         let keep = merge(&mut self.current.map, target..=capacity);
-        self.optimizer.retain(&keep);
+        self.retain(&keep);
         if !self.is_full {
             self.is_full = true;
             let warning = format!(
@@ -162,6 +173,7 @@ impl Mapper for GaussianMapper {
             self.scene_radius = farthest / parameters.scene_radius_ratio;
             seed_map(&mut self.current.map, parameters, &source);
         }
+        self.anchors.extend_to(self.current.map.len(), context.frames[current.frame].index);
         self.enforce_capacity(context);
         Ok(growth)
     }
@@ -231,6 +243,10 @@ impl Mapper for GaussianMapper {
         }
         self.prune();
         continues
+    }
+
+    fn correct(&mut self, _context: &MappingContext<'_>, motions: &BTreeMap<usize, Pose<f64>>) {
+        self.anchors.apply_motions(motions, &mut self.current.map, &mut self.optimizer);
     }
 
     fn map(&self) -> Map {

@@ -60,6 +60,17 @@ impl GaussianOptimizer {
         self.colours.retain(keep, 3);
     }
 
+    /// Rotates the moments of a Gaussian's mean and quaternion.
+    pub(crate) fn rotate(
+        &mut self,
+        gaussian: usize,
+        of_mean: &[[f32; 3]; 3],
+        of_quaternion: &[[f32; 4]; 4],
+    ) {
+        self.means.rotate(gaussian, of_mean);
+        self.rotations.rotate(gaussian, of_quaternion);
+    }
+
     /// One gradient step on the view of one keyframe.
     pub(crate) fn step(
         &mut self,

@@ -28,6 +28,7 @@ use i2slam_geometry::{Camera, Image, Pose};
 use i2slam_radiance::hashgrid::{
     FieldAdam, FieldGradient, FieldRenderer, HashGridMap, Occupancy, SettingsError, decayed_rate,
 };
+use std::collections::BTreeMap;
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -403,7 +404,7 @@ impl Mapper for JointFieldMapper {
     }
 
     /// Moves the shells with their keyframes, and reopens their cells.
-    fn correct(&mut self, context: &MappingContext<'_>) {
+    fn correct(&mut self, context: &MappingContext<'_>, _motions: &BTreeMap<usize, Pose<f64>>) {
         self.confine(context);
         self.reopen();
     }

@@ -1,0 +1,36 @@
+//! Corrections of poses after their frames were mapped, which the map follows.
+
+use super::Session;
+use i2slam_geometry::Pose;
+use std::collections::BTreeMap;
+
+impl Session {
+    /// Corrects poses `world_from_camera` at mid-exposure by the index of their frames, in the world
+    /// that keyframes come in (that of the session where frames are tracked against the map), as an adjustment of all keyframes or the closing of a loop finds them.
+    /// The motion during exposures stays; what a frame brought into a map of Gaussians moves with it,
+    /// and overlaps are reconciled by the steps to come. The gauge stays: the world is where the camera
+    /// of the first keyframe was when it came. Frames without a new pose, and poses that are not
+    /// finite, stay.
+    pub fn correct(&mut self, poses: &BTreeMap<usize, Pose<f64>>) {
+        let mut motions = BTreeMap::new();
+        for estimate in &mut self.state.frames {
+            let Some(pose) = poses.get(&estimate.index).filter(|pose| pose.is_finite()) else {
+                continue;
+            };
+            let mut now = *pose;
+            if let Some(source) = &mut self.source {
+                now = source.place_in_world(now);
+                source.correct(estimate.index, now);
+            }
+            let was = estimate.middle();
+            if was != now {
+                estimate.shutter = estimate.shutter.with_middle(now);
+                motions.insert(estimate.index, now * was.inverse());
+            }
+        }
+        if !motions.is_empty() {
+            let (mapper, _, context) = self.mapping();
+            mapper.correct(&context, &motions);
+        }
+    }
+}
