@@ -95,12 +95,12 @@ fn displacement_by_pictures(state: &SfmState) -> Option<Displacement> {
     let usual = usual_deviation(state, &predictions, &[0.0; 3])?;
     let cost = |d: &Displacement| cost(state, &predictions, d, SCALE_RATIO * usual);
     let step = FIRST_SHIFT * state.camera.width as f64;
-    Some(search(&cost, [step, step, FIRST_DELAY * interval]))
+    search(&cost, [step, step, FIRST_DELAY * interval])
 }
 
 /// The displacement of least cost: on a grid of offsets, then along each coordinate with steps
-/// that are halved.
-fn search(cost: &impl Fn(&Displacement) -> f64, mut steps: Displacement) -> Displacement {
+/// that are halved. `None` at an end of the range: a cost that falls up to there has no minimum.
+fn search(cost: &impl Fn(&Displacement) -> f64, mut steps: Displacement) -> Option<Displacement> {
     let offsets = -COARSE_STEPS..=COARSE_STEPS;
     let grid = offsets.clone().flat_map(|i| offsets.clone().map(move |j| (i, j)));
     let places = grid.map(|(i, j)| [f64::from(i) * steps[0], f64::from(j) * steps[1], 0.0]);
@@ -124,7 +124,7 @@ fn search(cost: &impl Fn(&Displacement) -> f64, mut steps: Displacement) -> Disp
         }
         steps = steps.map(|step| 0.5 * step);
     }
-    best
+    best.iter().zip(most).all(|(found, most)| found.abs() < most).then_some(best)
 }
 
 /// The keyframes adjusted to their pictures, and to depth at a displacement if one is given.
@@ -298,5 +298,20 @@ mod tests {
     fn averages_between_pixels_are_no_displacement() {
         assert!(ratio_of_half_a_pixel(false) < 0.8, "{}", ratio_of_half_a_pixel(false));
         assert!(ratio_of_half_a_pixel(true) > MAX_COST_RATIO, "{}", ratio_of_half_a_pixel(true));
+    }
+
+    #[test]
+    fn a_minimum_at_the_end_of_the_range_is_none() {
+        let steps = [5.0, 5.0, 0.01];
+        let around = |to: Displacement| {
+            move |d: &Displacement| -> f64 {
+                (0..3).map(|i| ((d[i] - to[i]) / steps[i]).powi(2)).sum()
+            }
+        };
+        let found = search(&around([8.0, -3.0, 0.012]), steps).expect("within the range");
+        let off = [found[0] - 8.0, found[1] + 3.0, 1e3 * (found[2] - 0.012)];
+        assert!(off.iter().all(|off| off.abs() < 0.1), "{found:?}");
+        assert_eq!(search(&around([2.0, 40.0, 0.0]), steps), None);
+        assert_eq!(search(&around([0.0, 0.0, -0.05]), steps), None);
     }
 }
