@@ -141,7 +141,7 @@ impl FrontEnd {
         Ok(FrameUpdate { frame, pose, status, is_cut, is_keyframe })
     }
 
-    /// Whether a depth picture taken so much later than its colour picture [s] is used.
+    /// True if a depth picture taken `later` than its colour picture [s] is used.
     fn is_in_time(&mut self, later: f64) -> bool {
         let interval = || median_frame_interval(&self.map.state.timestamps);
         let delay = later.abs();

@@ -344,7 +344,7 @@ mod tests {
         }
     }
 
-    /// Where the frames around are a second away, their motion tells nothing about milliseconds.
+    /// Frames a second away give no velocity.
     #[test]
     fn the_motion_until_a_depth_picture_is_that_of_near_frames() {
         let state = SfmState::new(camera(), Tracks { frames: 9, ..Tracks::default() });

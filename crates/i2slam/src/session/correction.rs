@@ -6,7 +6,8 @@ use std::collections::BTreeMap;
 
 impl Session {
     /// Corrects poses `world_from_camera` at mid-exposure by the index of their frames, in the world
-    /// that keyframes come in (that of the session where frames are tracked against the map), as an adjustment of all keyframes or the closing of a loop finds them.
+    /// that keyframes come in (that of the session where frames are tracked against the map), as an
+    /// adjustment of all keyframes or the closing of a loop finds them.
     /// The motion during exposures stays; what a frame brought into a map of Gaussians moves with it,
     /// and overlaps are reconciled by the steps to come. The gauge stays: the world is where the camera
     /// of the first keyframe was when it came. Frames without a new pose, and poses that are not

@@ -445,7 +445,7 @@ fn results_do_not_depend_on_threads() {
     }
 }
 
-/// What the second keyframe brought moves with it, and the picture it predicts stays.
+/// Gaussians of the second keyframe move with it; those of the first stay.
 #[test]
 fn a_map_of_gaussians_follows_corrected_poses() {
     let mut config = Config::preset("default-rgb").expect("known");

@@ -40,7 +40,7 @@ impl DepthMap {
         Self { depth: Arc::new(depth), step: 1 << halvings, timestamp: picture.timestamp }
     }
 
-    /// Whether there is a reading anywhere.
+    /// True if any pixel has a reading.
     pub(crate) fn has_readings(&self) -> bool {
         self.depth.data.iter().any(|z| *z > 0.0 && z.is_finite())
     }
