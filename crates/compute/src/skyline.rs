@@ -1,6 +1,9 @@
 //! Large symmetric systems whose entries lie near the diagonal: skyline storage, Cholesky
 //! factorisation, and an order of the unknowns that keeps the profile narrow.
 
+mod cholesky;
+
+use pulp::Arch;
 use std::collections::VecDeque;
 
 /// Partial sums of an inner product, so that it compiles to vector instructions.
@@ -75,23 +78,7 @@ impl SkylineMatrix {
 
     /// Replaces `A` by Cholesky's factor; returns whether it was positive definite.
     pub fn factorise(&mut self) -> bool {
-        for i in 0..self.first.len() {
-            let (above, row) = self.values.split_at_mut(self.start[i]);
-            let first = self.first[i];
-            for j in first..i {
-                let other = &above[self.start[j]..self.start[j + 1]];
-                let from = first.max(self.first[j]);
-                let shared = &other[from - self.first[j]..j - self.first[j]];
-                let sum = dot(&row[from - first..j - first], shared);
-                row[j - first] = (row[j - first] - sum) / other[other.len() - 1];
-            }
-            let square = row[i - first] - dot(&row[..i - first], &row[..i - first]);
-            if !(square.is_finite() && square > 0.0) {
-                return false;
-            }
-            row[i - first] = square.sqrt();
-        }
-        true
+        cholesky::factorise(self, Arch::new())
     }
 }
 
