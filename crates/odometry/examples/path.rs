@@ -2,9 +2,9 @@
 //!
 //! `cargo run --release -p i2slam-odometry --example path -- SEQUENCE OUT.txt [--depth]
 //! [--scale FACTOR] [--stride N] [--fov DEGREES] [--guess FACTOR] [--open]
-//! [--online FILE]` writes `world_from_camera` poses in the TUM
-//! format, and prints their error where the sequence has a true path, also over the deviations that
-//! they claim, and that of the poses as they were known when the frames came. Depth is used with `--depth`;
+//! [--online FILE]` writes `world_from_camera` poses in the TUM format, and prints their error
+//! where the sequence has a true path, also over the deviations that they claim, that of the poses as
+//! they were known when the frames came, and the time a frame takes. Depth is used with `--depth`;
 //! with `--open` no loop is closed.
 //! The focal length is taken from the sequence or `--fov`; it is estimated where neither gives it,
 //! or from FACTOR times that of the sequence with `--guess`.
@@ -50,13 +50,16 @@ fn main() -> Result<(), Box<dyn Error>> {
         front_end = front_end.without_loop_closure();
     }
     let started = Instant::now();
+    let mut seconds = Vec::new();
     for frame in sequence.stream() {
         let frame = frame?;
         let depth = frame
             .depth
             .as_ref()
             .map(|depth| DepthPicture { depth: &depth.image, timestamp: depth.timestamp });
+        let pushed = Instant::now();
         front_end.push(&frame.colour, frame.timestamp, depth.as_ref())?;
+        seconds.push(pushed.elapsed().as_secs_f64());
     }
     let tracked = started.elapsed().as_secs_f64();
     let found = front_end.finish(Progress::default())?;
@@ -72,6 +75,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     );
     println!("depth sensor: {:?}", found.depth_model);
     println!("{tracked:.1} s for tracking, {:.1} s in all", started.elapsed().as_secs_f64());
+    let hundreds = seconds.chunks_exact(100).map(|hundred| 10.0 * hundred.iter().sum::<f64>());
+    let hundreds: Vec<String> = hundreds.map(|milliseconds| format!("{milliseconds:.1}")).collect();
+    println!("milliseconds a frame in every hundred: {}", hundreds.join(" "));
     write_trajectory(out, &found.trajectory())?;
     if let Some(place) = flags.iter().position(|flag| flag == "--online") {
         let online = flags.get(place + 1).ok_or("--online needs a file")?;

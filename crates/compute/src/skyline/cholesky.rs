@@ -138,7 +138,8 @@ impl Panel {
         part: std::ops::Range<usize>,
     ) {
         // Place in the part where every row has begun.
-        let place = |row: &Row<'_>| (row.first.max(self.first) - self.first).clamp(part.start, part.end);
+        let place =
+            |row: &Row<'_>| (row.first.max(self.first) - self.first).clamp(part.start, part.end);
         let common = rows.iter().map(place).max().unwrap_or(part.end);
         let common = if rows.len() == ROWS { common } else { part.end };
         let entries = |row: &'_ Row<'_>, from: usize, to: usize| -> std::ops::Range<usize> {
@@ -153,7 +154,8 @@ impl Panel {
         if let (Ok(rows), Ok(out)) =
             (<&[Row<'_>; ROWS]>::try_from(rows), <&mut [BlockRow; ROWS]>::try_from(out))
         {
-            let left = std::array::from_fn(|i| &rows[i].values[entries(&rows[i], common, part.end)]);
+            let left =
+                std::array::from_fn(|i| &rows[i].values[entries(&rows[i], common, part.end)]);
             subtract_products(simd, left, &self.columns[common..part.end], out);
         }
     }
