@@ -54,8 +54,11 @@ pub fn hdr_error(
     truth: &Image<f32>,
 ) -> Result<HdrError, EvalError> {
     check_shapes(estimate, truth)?;
-    let mut estimated = samples(estimate, "the estimated radiance")?;
-    let due = samples(truth, "the true radiance")?;
+    let (estimated, due) = rayon::join(
+        || samples(estimate, "the estimated radiance"),
+        || samples(truth, "the true radiance"),
+    );
+    let (mut estimated, due) = (estimated?, due?);
     let white = percentile(&due, WHITE_PERCENTILE)?;
     if white <= 0.0 {
         return Err(EvalError::NotPositive { what: "the 99th percentile of the true radiance" });
@@ -68,12 +71,16 @@ pub fn hdr_error(
     let floor = white * (-LOG_RANGE_STOPS).exp2();
     let stops = |l: f64| l.max(floor).log2();
     let shown = |l: f64| (MU * (l / white).tanh()).ln_1p() / MU.ln_1p();
-    let log2_rmse_stops = mean_square(&estimated, &due, stops).sqrt();
+    let (of_stops, of_shown) = rayon::join(
+        || mean_square(&estimated, &due, stops),
+        || mean_square(&estimated, &due, shown),
+    );
+    let log2_rmse_stops = of_stops.sqrt();
     Ok(HdrError {
         gains,
         log2_rmse_stops,
         log2_psnr_db: 20.0 * (LOG_RANGE_STOPS / log2_rmse_stops).log10(),
-        mu_law_psnr_db: -10.0 * mean_square(&estimated, &due, shown).log10(),
+        mu_law_psnr_db: -10.0 * of_shown.log10(),
         white,
         samples: due.len(),
     })

@@ -13,6 +13,7 @@ use i2slam_eval::image::{psnr, ssim};
 use i2slam_result::report::{Comparison, frames_to_show};
 use i2slam_result::{Metrics, RenderKind, ResultError, save_render};
 use i2slam_storage::OutputFolder;
+use rayon::prelude::*;
 
 /// Number of frames in the report.
 const REPORT_FRAMES: usize = 8;
@@ -92,27 +93,33 @@ impl PictureRenderer<'_> {
             return;
         }
         let sharp = viewer.sharp(frame);
-        if let Some(truth) = &sharp_truth {
-            rendered.metrics.sharp(&sharp, truth);
-        }
         if !(file || show) {
+            rendered.metrics.sharp(&sharp, sharp_truth.as_ref());
             return;
         }
         let blurred = viewer.blurred(frame);
         let hdr = viewer.hdr(frame.middle());
         let depth = viewer.depth(frame.middle());
-        let input = self.position(frame).and_then(|p| self.sequence.load(p).ok());
-        if let Some(input) = &input {
-            rendered.metrics.blurred(&blurred, &input.colour);
-        }
-        let apart = self.sequence.len().div_ceil(MAX_RADIANCE).max(1);
-        if frame.index.is_multiple_of(apart) {
-            rendered.metrics.radiance(&hdr, self.truth, frame.index);
-        }
-        if file {
-            let pictures = [&sharp, &blurred, &hdr, &depth];
-            rendered.failure = write_all(folder, frame.index, pictures).err();
-        }
+        let RenderedPictures { metrics, failure, .. } = rendered;
+        let write = || match file {
+            true => write_all(folder, frame.index, [&sharp, &blurred, &hdr, &depth]).err(),
+            false => None,
+        };
+        let measure = || {
+            metrics.sharp(&sharp, sharp_truth.as_ref());
+            let input = self.position(frame).and_then(|p| self.sequence.load(p).ok());
+            if let Some(input) = &input {
+                metrics.blurred(&blurred, &input.colour);
+            }
+            let apart = self.sequence.len().div_ceil(MAX_RADIANCE).max(1);
+            if frame.index.is_multiple_of(apart) {
+                metrics.radiance(&hdr, self.truth, frame.index);
+            }
+            input
+        };
+        // Neither uses more than one thread by itself.
+        let (error, input) = rayon::join(write, measure);
+        *failure = failure.take().or(error);
         if let (true, Some(input)) = (show, input) {
             let brackets = self.brackets(frame, viewer);
             let input = std::sync::Arc::unwrap_or_clone(input.colour);
@@ -147,15 +154,16 @@ impl PictureRenderer<'_> {
     }
 }
 
+/// Writes the pictures of a frame; the first error is that of the first kind that failed.
 fn write_all(
     folder: &OutputFolder,
     index: usize,
     pictures: [&Image<f32>; 4],
 ) -> Result<(), ResultError> {
-    for (kind, picture) in RenderKind::ALL.into_iter().zip(pictures) {
-        save_render(folder, "renders", kind, index, picture)?;
-    }
-    Ok(())
+    let kinds = RenderKind::ALL.into_par_iter().zip(pictures).with_max_len(1);
+    let written: Vec<_> =
+        kinds.map(|(kind, picture)| save_render(folder, "renders", kind, index, picture)).collect();
+    written.into_iter().collect()
 }
 
 /// Keeps the exposures of the frame with the most pixels that are burnt out or black.
@@ -179,7 +187,8 @@ impl ImageMetrics {
         self.psnr_blurred.extend(measured.ok().filter(|v| v.is_finite()));
     }
 
-    fn sharp(&mut self, rendered: &Image<f32>, truth: &Image<f32>) {
+    fn sharp(&mut self, rendered: &Image<f32>, truth: Option<&Image<f32>>) {
+        let Some(truth) = truth else { return };
         let rendered = in_range(rendered);
         self.psnr_sharp.extend(psnr(&rendered, truth).ok().filter(|v| v.is_finite()));
         self.ssim_sharp.extend(ssim(&rendered, truth).ok());
