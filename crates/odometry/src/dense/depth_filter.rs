@@ -4,6 +4,7 @@ use super::DenseDepth;
 use super::inverse_depth::InverseDepthEstimate;
 use crate::alignment::is_one_surface;
 use i2slam_geometry::{Camera, Image, Pose};
+use rayon::prelude::*;
 
 /// Largest difference of consistent inverse depths, in standard deviations of both, ...
 const MAX_DEVIATIONS: f32 = 3.0;
@@ -81,40 +82,52 @@ pub(super) fn fuse_readings(
     others: &[(&InverseDepthEstimate, Pose<f64>)],
 ) -> InverseDepthEstimate {
     let mut out = own.clone();
-    let (width, height) = (own.inverse_depth.width, own.inverse_depth.height);
-    for pixel in (0..width * height).filter(|p| own.inverse_depth.data[*p] > 0.0) {
-        let (rho, variance) = (own.inverse_depth.data[pixel], own.variance.data[pixel]);
-        let (u, v) = Camera::pixel_centre(pixel % width, pixel / width);
-        let point = camera.unproject(u, v, 1.0 / f64::from(rho));
-        let (mut seen, mut agree) = (0, 0);
-        let (mut sum, mut weight) = (rho / variance, 1.0 / variance);
-        for (other, other_from_own) in others {
-            let there = *other_from_own * point;
-            let at = (there.z > 0.0).then(|| camera.project(there));
-            let tap = at.and_then(|(x, y)| other.inverse_depth.tap(x as f32, y as f32));
-            let Some(tap) = tap else { continue };
-            let values = tap.values(&other.inverse_depth.data);
-            if !is_one_surface(values) {
-                continue;
-            }
-            seen += 1;
-            let (found, due) = (tap.interpolate(values).0, (1.0 / there.z) as f32);
-            // The same error of the depth: `dz = -dρ/ρ²` in both.
-            let slope = (rho / due).powi(2);
-            let its = tap.interpolate(tap.values(&other.variance.data)).0 * slope * slope;
-            let most = MAX_READING_DEVIATIONS * (variance + its).sqrt() / slope;
-            if (found - due).abs() > most.max(MAX_READING_DIFFERENCE * due) {
-                continue;
-            }
-            agree += 1;
-            sum += (rho + (found - due) * slope) / its;
-            weight += 1.0 / its;
-        }
-        let is_contradicted = agree == 0 && (seen > 1 || !is_supported(own, pixel));
-        out.inverse_depth.data[pixel] = if is_contradicted { 0.0 } else { sum / weight };
-        out.variance.data[pixel] = 1.0 / weight;
-    }
+    let InverseDepthEstimate { inverse_depth, variance } = &mut out;
+    let pixels = inverse_depth.data.par_iter_mut().zip(&mut variance.data).enumerate();
+    let known = pixels.filter(|(_, (rho, _))| **rho > 0.0);
+    known.for_each(|(pixel, (rho, variance))| {
+        (*rho, *variance) = fused_reading(camera, own, others, pixel);
+    });
     out
+}
+
+/// Inverse depth and variance of a pixel that has a reading; the first is 0 if it is left out.
+fn fused_reading(
+    camera: &Camera<f64>,
+    own: &InverseDepthEstimate,
+    others: &[(&InverseDepthEstimate, Pose<f64>)],
+    pixel: usize,
+) -> (f32, f32) {
+    let width = own.inverse_depth.width;
+    let (rho, variance) = (own.inverse_depth.data[pixel], own.variance.data[pixel]);
+    let (u, v) = Camera::pixel_centre(pixel % width, pixel / width);
+    let point = camera.unproject(u, v, 1.0 / f64::from(rho));
+    let (mut seen, mut agree) = (0, 0);
+    let (mut sum, mut weight) = (rho / variance, 1.0 / variance);
+    for (other, other_from_own) in others {
+        let there = *other_from_own * point;
+        let at = (there.z > 0.0).then(|| camera.project(there));
+        let tap = at.and_then(|(x, y)| other.inverse_depth.tap(x as f32, y as f32));
+        let Some(tap) = tap else { continue };
+        let values = tap.values(&other.inverse_depth.data);
+        if !is_one_surface(values) {
+            continue;
+        }
+        seen += 1;
+        let (found, due) = (tap.interpolate(values).0, (1.0 / there.z) as f32);
+        // The same error of the depth: `dz = -dρ/ρ²` in both.
+        let slope = (rho / due).powi(2);
+        let its = tap.interpolate(tap.values(&other.variance.data)).0 * slope * slope;
+        let most = MAX_READING_DEVIATIONS * (variance + its).sqrt() / slope;
+        if (found - due).abs() > most.max(MAX_READING_DIFFERENCE * due) {
+            continue;
+        }
+        agree += 1;
+        sum += (rho + (found - due) * slope) / its;
+        weight += 1.0 / its;
+    }
+    let is_contradicted = agree == 0 && (seen > 1 || !is_supported(own, pixel));
+    (if is_contradicted { 0.0 } else { sum / weight }, 1.0 / weight)
 }
 
 /// Adjacent readings that must agree with one that no other view confirms: spikes stand alone.

@@ -5,6 +5,7 @@ use super::semi_global::aggregate_costs;
 use crate::track::pyramid::Pyramid;
 use i2slam_compute::{CancellationToken, median};
 use i2slam_geometry::{Camera, Image, Pose, Vec3};
+use rayon::prelude::*;
 
 /// Half the side of a window, at full size and at half size [px].
 pub(super) const HALF_WINDOWS: [usize; 2] = [3, 2];
@@ -49,7 +50,7 @@ pub(super) fn estimate_inverse_depth(
     let step = ((most - least) / (plane_count - 1) as f64) as f32;
     let sweep = plane_sweep_at(&coarse_camera, coarse, others, level);
     let offsets: Vec<f32> = (0..plane_count).map(|k| step * k as f32).collect();
-    let volume = sweep.costs(|_| least as f32, &offsets);
+    let volume = sweep.costs(&vec![least as f32; coarse.data.len()], &offsets);
     goes_on()?;
     let smooth = aggregate_costs(&volume, coarse);
     let mut first = Image::new(coarse.width, coarse.height, 1);
@@ -65,7 +66,7 @@ pub(super) fn estimate_inverse_depth(
             (0..=2 * reach).map(|k| (k as f32 - reach as f32) * distance).collect();
         goes_on()?;
         let base = median_filter(&found);
-        let volume = sweep.costs(|pixel| base.data[pixel], &offsets);
+        let volume = sweep.costs(&base.data, &offsets);
         let smooth = aggregate_costs(&volume, fine);
         for pixel in 0..base.data.len() {
             let (place, label) = subpixel_minimum(smooth.costs_at(pixel));
@@ -164,15 +165,17 @@ fn minimum_variance(volume: &CostVolume, pixel: usize, label: usize) -> f32 {
 /// Median filter of 3 x 3 pixels.
 fn median_filter(image: &Image<f32>) -> Image<f32> {
     let mut out = image.clone();
-    for row in 1..image.height.saturating_sub(1) {
-        for column in 1..image.width.saturating_sub(1) {
+    let (last, end) = (image.width.saturating_sub(1), image.height.saturating_sub(1));
+    let rows = out.data.par_chunks_mut(image.width.max(1)).enumerate();
+    rows.filter(|(row, _)| (1..end).contains(row)).for_each(|(row, out)| {
+        for column in 1..last {
             let mut around: [f32; 9] =
                 std::array::from_fn(|k| image.at(0, column + k % 3 - 1, row + k / 3 - 1));
             if let Some(middle) = median(&mut around) {
-                out.data[row * image.width + column] = middle;
+                out[column] = middle;
             }
         }
-    }
+    });
     out
 }
 

@@ -1,6 +1,7 @@
 //! Plane sweep: costs of inverse depths by zero-mean normalised correlation of windows.
 
 use i2slam_geometry::{Camera, Image, Pose, Vec3};
+use pulp::Arch;
 use rayon::prelude::*;
 
 /// Labels that are compared in parallel, which bounds the planes in memory.
@@ -55,17 +56,12 @@ impl<'a> PlaneSweep<'a> {
         }
     }
 
-    /// Costs at `inverse_depth(pixel) + offset` for each of the offsets.
-    pub(super) fn costs(
-        &self,
-        inverse_depth: impl Fn(usize) -> f32 + Sync,
-        offsets: &[f32],
-    ) -> CostVolume {
-        let labels = offsets.len();
+    /// Costs at `inverse_depth + offset` for each of the offsets; one inverse depth per pixel.
+    pub(super) fn costs(&self, inverse_depth: &[f32], offsets: &[f32]) -> CostVolume {
+        let (labels, arch) = (offsets.len(), Arch::new());
         let mut values = vec![0.0; labels * self.windows.image.data.len()];
         for (begin, some) in (0..).step_by(LABELS_PER_BATCH).zip(offsets.chunks(LABELS_PER_BATCH)) {
-            let plane =
-                |offset: &f32| self.mean_plane_costs(&|pixel| inverse_depth(pixel) + offset);
+            let plane = |offset: &f32| self.mean_plane_costs(arch, inverse_depth, *offset);
             let planes: Vec<Vec<f32>> = some.par_iter().map(plane).collect();
             values.par_chunks_exact_mut(labels).enumerate().for_each(|(pixel, costs)| {
                 let costs = costs[begin..].iter_mut().zip(&planes);
@@ -76,63 +72,121 @@ impl<'a> PlaneSweep<'a> {
     }
 
     /// Mean cost of the better half of the neighbours that see a pixel: others may be occluded.
-    fn mean_plane_costs(&self, inverse_depth: &dyn Fn(usize) -> f32) -> Vec<f32> {
-        let pixels = self.windows.image.data.len();
-        let each: Vec<Vec<f32>> =
-            self.neighbours.iter().map(|n| self.neighbour_costs(n, inverse_depth)).collect();
-        let mut sorted = Vec::with_capacity(each.len());
-        (0..pixels)
-            .map(|i| {
-                sorted.clear();
-                sorted.extend(each.iter().map(|costs| costs[i]).filter(|cost| *cost <= 1.0));
-                sorted.sort_unstable_by(f32::total_cmp);
-                let half = sorted.len().div_ceil(2);
-                if half == 0 { 1.0 } else { sorted[..half].iter().sum::<f32>() / half as f32 }
-            })
-            .collect()
+    fn mean_plane_costs(&self, arch: Arch, inverse_depth: &[f32], offset: f32) -> Vec<f32> {
+        let mut scratch = Scratch::default();
+        let mut cost = |neighbour: &SweptView<'_>| {
+            let mut costs = vec![0.0; inverse_depth.len()];
+            arch.dispatch(|| {
+                neighbour.warp_to_keyframe(inverse_depth, offset, &mut scratch);
+                self.windows.write_costs(&mut scratch, &mut costs);
+            });
+            costs
+        };
+        let each: Vec<Vec<f32>> = self.neighbours.iter().map(&mut cost).collect();
+        let mut mean = vec![0.0; inverse_depth.len()];
+        arch.dispatch(|| write_means_of_better_half(&each, &mut mean));
+        mean
     }
+}
 
-    /// Costs of one neighbour; above 1 where it does not see the pixel.
-    fn neighbour_costs(
-        &self,
-        neighbour: &SweptView<'_>,
-        inverse_depth: &dyn Fn(usize) -> f32,
-    ) -> Vec<f32> {
-        let (warp_to_keyframe, shown) = neighbour.warp_to_keyframe(inverse_depth);
-        let mut costs = self.windows.costs(&warp_to_keyframe);
-        costs.iter_mut().zip(shown).filter(|(_, shown)| !shown).for_each(|(cost, _)| *cost = 2.0);
-        costs
+/// Buffers of the costs of one neighbour.
+#[derive(Default)]
+struct Scratch {
+    /// The neighbour's picture warped to the keyframe, and whether it sees each pixel.
+    warped: Vec<f32>,
+    shown: Vec<bool>,
+    /// Places in the neighbour's picture of a row of pixels [px].
+    x: Vec<f32>,
+    y: Vec<f32>,
+    products: Vec<f32>,
+    /// Window sums along rows.
+    rows: Vec<f32>,
+    /// Window means of the warped picture, its square, and its product with the keyframe.
+    means: [Vec<f32>; 3],
+}
+
+/// Pixels that are sorted together.
+const BLOCK: usize = 64;
+
+/// Cost of a neighbour that does not see the pixel: above all others.
+const UNSEEN: f32 = 2.0;
+
+/// Writes the mean over the better half of the costs of each pixel, 1 where no neighbour sees it.
+#[inline(always)]
+fn write_means_of_better_half(each: &[Vec<f32>], mean: &mut [f32]) {
+    let mut sorted = vec![[UNSEEN; BLOCK]; each.len()];
+    for (block, mean) in mean.chunks_mut(BLOCK).enumerate() {
+        let mut seen = [0.0; BLOCK];
+        for (costs, sorted) in each.iter().zip(&mut sorted) {
+            let costs = &costs[block * BLOCK..][..mean.len()];
+            for i in 0..costs.len() {
+                let is_seen = costs[i] <= 1.0;
+                sorted[i] = if is_seen { costs[i] } else { UNSEEN };
+                seen[i] += if is_seen { 1.0 } else { 0.0 };
+            }
+        }
+        for last in 1..sorted.len() {
+            for k in (0..last).rev() {
+                let (lower, upper) = sorted.split_at_mut(k + 1);
+                sort_pairs(&mut lower[k], &mut upper[0]);
+            }
+        }
+        for i in 0..mean.len() {
+            let half = (0.5_f32 * seen[i]).ceil();
+            let mut sum = 0.0;
+            for k in 0..sorted.len() {
+                sum += if (k as f32) < half { sorted[k][i] } else { 0.0 };
+            }
+            mean[i] = if half > 0.0 { sum / half } else { 1.0 };
+        }
+    }
+}
+
+/// Puts the smaller of two numbers at each place into the first list.
+#[inline(always)]
+fn sort_pairs(lower: &mut [f32; BLOCK], upper: &mut [f32; BLOCK]) {
+    for i in 0..BLOCK {
+        let (a, b) = (lower[i], upper[i]);
+        lower[i] = if a < b { a } else { b };
+        upper[i] = if a < b { b } else { a };
     }
 }
 
 impl SweptView<'_> {
-    /// The neighbour's picture warped to the keyframe, and whether it sees each pixel.
-    fn warp_to_keyframe(&self, inverse_depth: &dyn Fn(usize) -> f32) -> (Vec<f32>, Vec<bool>) {
+    /// Writes the neighbour's picture warped to the keyframe, and whether it sees each pixel.
+    #[inline(always)]
+    fn warp_to_keyframe(&self, inverse_depth: &[f32], offset: f32, scratch: &mut Scratch) {
         let (width, height) = (self.image.width, self.image.height);
         let (right, low) = ((width - 1) as f32 - 1e-3, (height - 1) as f32 - 1e-3);
         let [by_u, by_v, origin] = self.turn;
-        let mut values = Vec::with_capacity(width * height);
-        let mut shown = Vec::with_capacity(width * height);
+        let Scratch { warped, shown, x, y, .. } = scratch;
+        warped.resize(width * height, 0.0);
+        shown.resize(width * height, false);
+        x.resize(width, 0.0);
+        y.resize(width, 0.0);
         for row in 0..height {
             let start = origin + by_v * (row as f32 + 0.5);
+            let pixels = row * width..(row + 1) * width;
+            let (depths, shown) = (&inverse_depth[pixels.clone()], &mut shown[pixels.clone()]);
             for column in 0..width {
-                let rho = inverse_depth(row * width + column);
+                let rho = depths[column] + offset;
                 let q = start + by_u * (column as f32 + 0.5) + self.shift * rho;
                 let scale = 1.0 / q.z.max(1e-6);
-                let (x, y) = (q.x * scale - 0.5, q.y * scale - 0.5);
-                shown.push(q.z > 1e-6 && x >= 0.0 && y >= 0.0 && x <= right && y <= low);
-                let (x, y) = (x.clamp(0.0, right), y.clamp(0.0, low));
-                let (left, top) = (x as usize, y as usize);
-                let (dx, dy) = (x - left as f32, y - top as f32);
+                let (u, v) = (q.x * scale - 0.5, q.y * scale - 0.5);
+                shown[column] = (q.z > 1e-6) & (u >= 0.0) & (v >= 0.0) & (u <= right) & (v <= low);
+                (x[column], y[column]) = (u.clamp(0.0, right), v.clamp(0.0, low));
+            }
+            let (pixel, warped) = (&self.image.data, &mut warped[pixels]);
+            for column in 0..width {
+                let (left, top) = (x[column] as usize, y[column] as usize);
+                let (dx, dy) = (x[column] - left as f32, y[column] - top as f32);
                 let at = top * width + left;
-                let pixel = &self.image.data;
                 let upper = pixel[at] + (pixel[at + 1] - pixel[at]) * dx;
                 let below = at + width;
                 let lower = pixel[below] + (pixel[below + 1] - pixel[below]) * dx;
-                values.push(upper + (lower - upper) * dy);
+                warped[column] = upper + (lower - upper) * dy;
             }
         }
-        (values, shown)
     }
 }
 
@@ -151,84 +205,196 @@ struct WindowStatistics {
 impl WindowStatistics {
     /// Windows of `2 half + 1` pixels a side.
     fn new(image: Image<f32>, half: usize) -> Self {
-        let (width, height) = (image.width, image.height);
+        let (size, mut rows) = ((image.width, image.height), Vec::new());
         let squares: Vec<f32> = image.data.iter().map(|v| v * v).collect();
-        let means = window_means(&image.data, width, height, half);
-        let squares = window_means(&squares, width, height, half);
-        let sharpness = means.iter().zip(squares).map(|(m, s)| inverse_deviation(*m, s)).collect();
+        let (mut means, mut mean_squares) = (Vec::new(), Vec::new());
+        write_window_means(&image.data, size, half, &mut rows, &mut means);
+        write_window_means(&squares, size, half, &mut rows, &mut mean_squares);
+        let sharpness =
+            means.iter().zip(mean_squares).map(|(m, s)| inverse_deviation(*m, s)).collect();
         Self { image, means, sharpness, half }
     }
 
-    /// Costs `1 - correlation` with the windows of another picture, in [0, 1]; 1 for flat ones.
-    fn costs(&self, other: &[f32]) -> Vec<f32> {
-        let (width, height) = (self.image.width, self.image.height);
-        let squares: Vec<f32> = other.iter().map(|v| v * v).collect();
-        let products: Vec<f32> = other.iter().zip(&self.image.data).map(|(a, b)| a * b).collect();
-        let [means, squares, products] =
-            [other, &squares, &products].map(|plane| window_means(plane, width, height, self.half));
-        (0..width * height)
-            .map(|i| {
-                let covariance = products[i] - self.means[i] * means[i];
-                let spread = self.sharpness[i] * inverse_deviation(means[i], squares[i]);
-                (1.0 - covariance * spread).clamp(0.0, 1.0)
-            })
-            .collect()
+    /// Writes costs `1 - correlation` with the windows of a warped picture, in [0, 1]; 1 for flat
+    /// ones, [`UNSEEN`] where it is not shown.
+    #[inline(always)]
+    fn write_costs(&self, scratch: &mut Scratch, costs: &mut [f32]) {
+        let (size, count) = ((self.image.width, self.image.height), costs.len());
+        let Scratch { warped, shown, products, rows, means: [means, squares, crosses], .. } =
+            scratch;
+        products.resize(count, 0.0);
+        write_window_means(warped, size, self.half, rows, means);
+        for i in 0..count {
+            products[i] = warped[i] * warped[i];
+        }
+        write_window_means(products, size, self.half, rows, squares);
+        for i in 0..count {
+            products[i] = warped[i] * self.image.data[i];
+        }
+        write_window_means(products, size, self.half, rows, crosses);
+        let (means, squares, crosses) = (&means[..count], &squares[..count], &crosses[..count]);
+        let (own, sharpness, shown) =
+            (&self.means[..count], &self.sharpness[..count], &shown[..count]);
+        for i in 0..count {
+            let covariance = crosses[i] - own[i] * means[i];
+            let spread = sharpness[i] * inverse_deviation(means[i], squares[i]);
+            let cost = (1.0 - covariance * spread).clamp(0.0, 1.0);
+            costs[i] = if shown[i] { cost } else { UNSEEN };
+        }
     }
 }
 
+#[inline(always)]
 fn inverse_deviation(mean: f32, mean_square: f32) -> f32 {
     ((mean_square - mean * mean).max(0.0) + WINDOW_NOISE_VARIANCE).sqrt().recip()
 }
 
-/// Window means; the border value is repeated beyond the border.
-fn window_means(plane: &[f32], width: usize, height: usize, half: usize) -> Vec<f32> {
+/// Writes window means; the border value is repeated beyond the border.
+#[inline(always)]
+fn write_window_means(
+    plane: &[f32],
+    (width, height): (usize, usize),
+    half: usize,
+    rows: &mut Vec<f32>,
+    out: &mut Vec<f32>,
+) {
     let side = 2 * half + 1;
-    let mut rows = vec![0.0; plane.len()];
+    let mut padded = vec![0.0; width + 2 * half];
+    rows.resize(plane.len(), 0.0);
     for (from, to) in plane.chunks_exact(width).zip(rows.chunks_exact_mut(width)) {
-        let padded = |i: usize| from[i.saturating_sub(half).min(width - 1)];
-        for (column, sum) in to.iter_mut().enumerate() {
-            let inside = column >= half && column + half < width;
-            *sum = match inside {
-                true => from[column - half..=column + half].iter().sum(),
-                false => (column..column + side).map(padded).sum(),
-            };
+        padded[..half].fill(from[0]);
+        padded[half..half + width].copy_from_slice(from);
+        padded[half + width..].fill(from[width - 1]);
+        to.fill(0.0);
+        for k in 0..side {
+            let from = &padded[k..k + width];
+            for i in 0..width {
+                to[i] += from[i];
+            }
         }
     }
     let scale = 1.0 / (side * side) as f32;
-    let mut out = vec![0.0; plane.len()];
+    out.resize(plane.len(), 0.0);
     for (row, to) in out.chunks_exact_mut(width).enumerate() {
+        to.fill(0.0);
         for k in row..row + side {
-            let from = k.saturating_sub(half).min(height - 1) * width;
-            to.iter_mut().zip(&rows[from..from + width]).for_each(|(sum, value)| *sum += value);
+            let from = &rows[k.saturating_sub(half).min(height - 1) * width..][..width];
+            for i in 0..width {
+                to[i] += from[i];
+            }
         }
-        to.iter_mut().for_each(|sum| *sum *= scale);
+        for i in 0..width {
+            to[i] *= scale;
+        }
     }
-    out
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use i2slam_geometry::Tangent;
 
     fn picture(of: impl Fn(f32, f32) -> f32) -> Image<f32> {
         Image::from_fn(24, 18, 1, |_, x, y| of(x as f32, y as f32))
     }
 
+    fn wave(x: f32, y: f32) -> f32 {
+        0.5 + 0.3 * (0.9 * x).sin() * (0.7 * y).cos()
+    }
+
+    fn costs(windows: &WindowStatistics, other: &Image<f32>) -> Vec<f32> {
+        let shown = vec![true; other.data.len()];
+        let mut scratch = Scratch { warped: other.data.clone(), shown, ..Scratch::default() };
+        let mut costs = vec![0.0; other.data.len()];
+        windows.write_costs(&mut scratch, &mut costs);
+        costs
+    }
+
     #[test]
     fn gain_and_bias_change_nothing_and_flat_windows_say_nothing() {
-        let wave = |x: f32, y: f32| 0.5 + 0.3 * (0.9 * x).sin() * (0.7 * y).cos();
         let windows = WindowStatistics::new(picture(wave), 2);
         let brighter = picture(|x, y| 0.1 + 0.6 * wave(x, y));
-        assert!(windows.costs(&brighter.data).iter().all(|c| *c < 0.02));
+        assert!(costs(&windows, &brighter).iter().all(|c| *c < 0.02));
         let shifted = picture(|x, y| wave(x + 2.0, y));
-        assert!(windows.costs(&shifted.data).iter().sum::<f32>() > 0.5 * 24.0 * 18.0);
-        assert!(windows.costs(&picture(|_, _| 0.4).data).iter().all(|c| *c > 0.9));
+        assert!(costs(&windows, &shifted).iter().sum::<f32>() > 0.5 * 24.0 * 18.0);
+        assert!(costs(&windows, &picture(|_, _| 0.4)).iter().all(|c| *c > 0.9));
     }
 
     #[test]
     fn means_repeat_the_border() {
-        let plane = picture(|x, _| x);
-        let means = window_means(&plane.data, 24, 18, 2);
+        let (plane, mut rows, mut means) = (picture(|x, _| x), Vec::new(), Vec::new());
+        write_window_means(&plane.data, (24, 18), 2, &mut rows, &mut means);
         assert!((means[0] - 0.6).abs() < 1e-5 && (means[5 * 24 + 10] - 10.0).abs() < 1e-5);
+    }
+
+    const CAMERA: Camera<f64> =
+        Camera { width: 24, height: 18, fx: 20.0, fy: 21.0, cx: 11.5, cy: 9.5 };
+
+    /// Cost of one neighbour at a pixel, window pixel by window pixel; `None` where it is not seen.
+    fn plain_cost(
+        keyframe: &Image<f32>,
+        (other, pose): (&Image<f32>, &Pose<f64>),
+        rho: impl Fn(usize, usize) -> f64,
+        (column, row): (usize, usize),
+    ) -> Option<f64> {
+        let place = |x: usize, y: usize| {
+            let (u, v) = Camera::<f64>::pixel_centre(x, y);
+            let ray: Vec3<f64> = CAMERA.unproject(u, v, 1.0);
+            CAMERA.project(pose.rotation.rotate(ray) + pose.translation * rho(x, y))
+        };
+        let is_seen = |(u, v): (f64, f64)| {
+            (0.5..=23.5 - 1e-3).contains(&u) && (0.5..=17.5 - 1e-3).contains(&v)
+        };
+        is_seen(place(column, row)).then_some(())?;
+        let (mut sums, half) = ([0.0; 5], 2);
+        for j in 0..2 * half + 1 {
+            for i in 0..2 * half + 1 {
+                let x = (column + i).saturating_sub(half).min(23);
+                let y = (row + j).saturating_sub(half).min(17);
+                let (u, v) = place(x, y);
+                let (u, v) = ((u - 0.5).clamp(0.0, 22.999), (v - 0.5).clamp(0.0, 16.999));
+                let (dx, dy) = (u.fract(), v.fract());
+                let at =
+                    |i: usize, j: usize| f64::from(other.at(0, u as usize + i, v as usize + j));
+                let upper = at(0, 0) + (at(1, 0) - at(0, 0)) * dx;
+                let lower = at(0, 1) + (at(1, 1) - at(0, 1)) * dx;
+                let (a, b) = (upper + (lower - upper) * dy, f64::from(keyframe.at(0, x, y)));
+                let terms = [a, b, a * a, b * b, a * b];
+                sums.iter_mut().zip(terms).for_each(|(sum, term)| *sum += term / 25.0);
+            }
+        }
+        let [a, b, aa, bb, ab] = sums;
+        let noise = f64::from(WINDOW_NOISE_VARIANCE);
+        let spread = ((aa - a * a + noise) * (bb - b * b + noise)).sqrt();
+        Some((1.0 - (ab - a * b) / spread).clamp(0.0, 1.0))
+    }
+
+    #[test]
+    fn costs_are_means_of_the_better_half_of_the_neighbours() {
+        let keyframe = picture(wave);
+        let others: Vec<Image<f32>> = (0..5)
+            .map(|k| picture(|x, y| wave(x + 0.8 * k as f32, 1.05 * y) + 0.02 * (x * y).sin()))
+            .collect();
+        let step = |k: f64| Tangent::from_array([0.3 * k, -0.2, 0.1 * k, 0.01, 0.02 * k, -0.03]);
+        let poses: Vec<Pose<f64>> =
+            (-2..3).map(|k| Pose::identity().retract(step(f64::from(k)))).collect();
+        let views: Vec<(&Image<f32>, Pose<f64>)> = others.iter().zip(poses.clone()).collect();
+        let base: Vec<f32> = (0..24 * 18).map(|i| 0.3 + 0.001 * (i % 24) as f32).collect();
+        let offsets: Vec<f32> = (0..LABELS_PER_BATCH + 3).map(|k| 0.05 * k as f32).collect();
+        let volume = PlaneSweep::new(&CAMERA, &keyframe, 2, &views).costs(&base, &offsets);
+        let mut unseen = 0;
+        for (pixel, label) in (0..24 * 18).flat_map(|p| [(p, 0), (p, 7), (p, offsets.len() - 1)]) {
+            let rho = |x: usize, y: usize| f64::from(base[y * 24 + x] + offsets[label]);
+            let cost = |view| plain_cost(&keyframe, view, rho, (pixel % 24, pixel / 24));
+            let mut each: Vec<f64> = others.iter().zip(&poses).filter_map(cost).collect();
+            unseen += 5 - each.len();
+            each.sort_by(f64::total_cmp);
+            each.truncate(each.len().div_ceil(2));
+            let count = each.len() as f64;
+            let due = if each.is_empty() { 1.0 } else { each.iter().sum::<f64>() / count };
+            let found = f64::from(volume.costs_at(pixel)[label]);
+            assert!((found - due).abs() < 1e-3, "pixel {pixel}, label {label}: {found} {due}");
+        }
+        assert!(unseen > 100);
     }
 }
