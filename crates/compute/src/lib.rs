@@ -13,7 +13,7 @@ mod statistics;
 
 pub use adam::{Adam, AdamSettings};
 pub use cancellation::CancellationToken;
-pub use linear::{NormalEquations, solve_positive_definite};
+pub use linear::{NormalEquations, factorize_cholesky, solve_cholesky, solve_positive_definite};
 pub use memory::machine_memory;
 pub use random::Random;
 pub use reduce::reduce_in_order;

@@ -63,7 +63,16 @@ impl<const N: usize> NormalEquations<N> {
 /// Solve `A x = b` in place by Cholesky's factorisation; `a` is `n x n`, row-major, symmetric.
 /// Returns whether `A` was positive definite; if not, `b` holds nothing useful.
 pub fn solve_positive_definite(a: &mut [f64], b: &mut [f64]) -> bool {
-    let n = b.len();
+    let is_positive_definite = factorize_cholesky(a, b.len());
+    if is_positive_definite {
+        solve_cholesky(a, b);
+    }
+    is_positive_definite
+}
+
+/// Replaces the lower triangle of the symmetric `n x n` matrix `A`, row-major, by Cholesky's factor;
+/// the upper one is not read. Returns whether `A` was positive definite.
+pub fn factorize_cholesky(a: &mut [f64], n: usize) -> bool {
     for i in 0..n {
         for j in 0..=i {
             let dot: f64 = (0..j).map(|k| a[i * n + k] * a[j * n + k]).sum();
@@ -77,6 +86,12 @@ pub fn solve_positive_definite(a: &mut [f64], b: &mut [f64]) -> bool {
             }
         }
     }
+    true
+}
+
+/// Solves `A x = b` in place, from the factor of `A` that [`factorize_cholesky`] found.
+pub fn solve_cholesky(a: &[f64], b: &mut [f64]) {
+    let n = b.len();
     for i in 0..n {
         let dot: f64 = (0..i).map(|k| a[i * n + k] * b[k]).sum();
         b[i] = (b[i] - dot) / a[i * n + i];
@@ -85,7 +100,6 @@ pub fn solve_positive_definite(a: &mut [f64], b: &mut [f64]) -> bool {
         let dot: f64 = (i + 1..n).map(|k| a[k * n + i] * b[k]).sum();
         b[i] = (b[i] - dot) / a[i * n + i];
     }
-    true
 }
 
 #[cfg(test)]
@@ -101,6 +115,21 @@ mod tests {
         }
         let solution = equations.step(0.0).expect("ten points define a line");
         assert!((solution[0] - 3.0).abs() < 1e-9 && (solution[1] + 2.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn one_factor_solves_for_several_sides() {
+        let a = [4.0, 1.0, 0.5, 1.0, 3.0, -0.2, 0.5, -0.2, 2.0];
+        let mut factor = a;
+        factor[1..3].fill(f64::NAN);
+        factor[5] = f64::NAN;
+        assert!(factorize_cholesky(&mut factor, 3));
+        for x in [[1.0, 0.0, 0.0], [0.3, -2.0, 5.0]] {
+            let row = |i: usize| (0..3).map(|k| a[3 * i + k] * x[k]).sum::<f64>();
+            let mut found = [row(0), row(1), row(2)];
+            solve_cholesky(&factor, &mut found);
+            assert!(found.iter().zip(x).all(|(found, x)| (found - x).abs() < 1e-12), "{found:?}");
+        }
     }
 
     #[test]

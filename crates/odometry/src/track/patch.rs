@@ -4,7 +4,7 @@
 //! template `T` the unknowns `(α, β, α δ)` are linear with one constant matrix, so that changes of
 //! exposure cost nothing.
 
-use i2slam_compute::solve_positive_definite;
+use i2slam_compute::{factorize_cholesky, solve_cholesky};
 use i2slam_geometry::Image;
 use pulp::Arch;
 
@@ -155,21 +155,22 @@ fn inverse_normal_matrix<const N: usize>(basis: &[[f32; AREA]]) -> Option<[[f32;
     if lengths.iter().any(|l| *l < 1e-4) {
         return None;
     }
-    let products: Vec<f64> = (0..N * N)
-        .map(|i| {
-            let (r, c) = (i / N, i % N);
+    let mut products = vec![0.0; N * N];
+    for r in 0..N {
+        for c in 0..=r {
             let ridge = if r == c { 1e-4 } else { 0.0 };
-            f64::from(dot(&basis[r], &basis[c])) / (lengths[r] * lengths[c]) + ridge
-        })
-        .collect();
+            let product = f64::from(dot(&basis[r], &basis[c]));
+            products[r * N + c] = product / (lengths[r] * lengths[c]) + ridge;
+        }
+    }
+    if !factorize_cholesky(&mut products, N) {
+        return None;
+    }
     let mut out = [[0.0; N]; N];
     for column in 0..N {
-        let mut a = products.clone();
         let mut unit = [0.0; N];
         unit[column] = 1.0;
-        if !solve_positive_definite(&mut a, &mut unit) {
-            return None;
-        }
+        solve_cholesky(&products, &mut unit);
         for row in 0..N {
             out[row][column] = (unit[row] / (lengths[row] * lengths[column])) as f32;
         }
