@@ -1,5 +1,6 @@
 //! Adam (Kingma and Ba 2015) on flat slices of parameters.
 
+use pulp::Arch;
 use rayon::prelude::*;
 
 /// Constants of Adam.
@@ -37,6 +38,7 @@ const UNBIASED: u32 = 20_800;
 
 impl AdamSettings {
     /// Steps a block. No branch depends on a number, so that the loop becomes vectors.
+    #[inline(always)]
     fn advance(
         self,
         rate: f32,
@@ -72,6 +74,7 @@ struct Factors {
 }
 
 impl Factors {
+    #[inline(always)]
     fn new(ages: &[u32], width: usize, corrections: &[(f32, f32)]) -> Self {
         let mut factors = Self { moves: [false; BLOCK], first: [1.0; BLOCK], second: [1.0; BLOCK] };
         for (element, &age) in ages.iter().enumerate().filter(|(_, age)| **age > 0) {
@@ -136,7 +139,7 @@ impl Adam {
         self.first.resize(parameters.len(), 0.0);
         self.second.resize(parameters.len(), 0.0);
         self.correct_up_to(ages.iter().copied().max().unwrap_or(0));
-        let (settings, corrections) = (self.settings, &self.corrections);
+        let (settings, corrections, arch) = (self.settings, &self.corrections, Arch::new());
         let elements = (CHUNK / width.max(1)).max(1);
         let chunk = elements * width.max(1);
         parameters
@@ -150,8 +153,13 @@ impl Adam {
                 let moments = first.chunks_mut(block).zip(second.chunks_mut(block));
                 let ages = ages.chunks(BLOCK / width.max(1));
                 for (((parameters, gradient), moments), ages) in blocks.zip(moments).zip(ages) {
-                    let factors = Factors::new(ages, width, corrections);
-                    settings.advance(rate, parameters, gradient, moments, &factors);
+                    if ages.iter().all(|age| *age == 0) {
+                        continue;
+                    }
+                    arch.dispatch(|| {
+                        let factors = Factors::new(ages, width, corrections);
+                        settings.advance(rate, parameters, gradient, moments, &factors);
+                    });
                 }
             });
     }

@@ -67,6 +67,9 @@ pub(super) fn depth_error(rendered: &Image<f32>, observation: &Observation, mask
     sums.iter().sum()
 }
 
+/// Pixels of a parallel task, at least.
+const MIN_TASK_PIXELS: usize = 8192;
+
 /// Writes the derivative of `weight` times [`depth_error`] to `d_depth`.
 pub(super) fn depth_gradient(
     rendered: &Image<f32>,
@@ -75,13 +78,15 @@ pub(super) fn depth_gradient(
     weight: f32,
     d_depth: &mut Image<f32>,
 ) {
-    d_depth.reset(rendered.width, rendered.height, 1);
-    for (i, g) in d_depth.data.iter_mut().enumerate() {
+    d_depth.reshape(rendered.width, rendered.height, 1);
+    let pixels = d_depth.data.par_iter_mut().enumerate().with_min_len(MIN_TASK_PIXELS);
+    pixels.for_each(|(i, g)| {
         let difference = rendered.data[i] - observation.depth.data[i];
-        if mask[i] && difference != 0.0 {
-            *g = (weight * observation.depth_weight(i)).copysign(difference);
-        }
-    }
+        *g = match mask[i] && difference != 0.0 {
+            true => (weight * observation.depth_weight(i)).copysign(difference),
+            false => 0.0,
+        };
+    });
 }
 
 #[cfg(test)]

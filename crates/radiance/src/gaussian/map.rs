@@ -186,12 +186,13 @@ impl<T: Real> MapGradient<T> {
 
     /// Sets all to zero, for a map of `count` Gaussians, keeping the allocation.
     pub fn reset(&mut self, count: usize) {
-        refill(&mut self.means, count, [T::zero(); 3]);
-        refill(&mut self.log_scales, count, [T::zero(); 3]);
-        refill(&mut self.rotations, count, [T::zero(); 4]);
-        refill(&mut self.opacity_logits, count, T::zero());
-        refill(&mut self.colours, count, [T::zero(); 3]);
-        refill(&mut self.seen, count, false);
+        self.means.resize(count, [T::zero(); 3]);
+        self.log_scales.resize(count, [T::zero(); 3]);
+        self.rotations.resize(count, [T::zero(); 4]);
+        self.opacity_logits.resize(count, T::zero());
+        self.colours.resize(count, [T::zero(); 3]);
+        self.seen.resize(count, false);
+        self.par_rows(RESET_ROWS).for_each(GradientRows::clear);
     }
 
     pub(crate) fn rows(&mut self) -> GradientRows<'_, T> {
@@ -221,10 +222,8 @@ impl<T: Real> MapGradient<T> {
     }
 }
 
-fn refill<V: Copy>(values: &mut Vec<V>, count: usize, value: V) {
-    values.clear();
-    values.resize(count, value);
-}
+/// Rows that are set to zero in one task.
+const RESET_ROWS: usize = 8192;
 
 /// A range of rows of a [`MapGradient`], to write.
 pub(crate) struct GradientRows<'a, T> {
@@ -237,6 +236,15 @@ pub(crate) struct GradientRows<'a, T> {
 }
 
 impl<T: Real> GradientRows<'_, T> {
+    fn clear(self) {
+        self.means.fill([T::zero(); 3]);
+        self.log_scales.fill([T::zero(); 3]);
+        self.rotations.fill([T::zero(); 4]);
+        self.opacity_logits.fill(T::zero());
+        self.colours.fill([T::zero(); 3]);
+        self.seen.fill(false);
+    }
+
     pub(crate) fn add(&mut self, row: usize, g: &Gaussian<T>, seen: bool) {
         (0..3).for_each(|k| self.means[row][k] += g.mean[k]);
         (0..3).for_each(|k| self.log_scales[row][k] += g.log_scale[k]);
@@ -270,6 +278,19 @@ mod tests {
         let kept: Vec<_> = map.iter().collect();
         assert_eq!(kept, vec![gaussian(0), gaussian(3), gaussian(4)]);
         assert_eq!(map.cast::<f64>().cast::<f32>(), map);
+    }
+
+    #[test]
+    fn a_reset_gradient_is_that_of_a_new_one() {
+        let count = RESET_ROWS + 3;
+        let mut gradient = MapGradient::new(count + 5);
+        for row in 0..count + 5 {
+            gradient.rows().add(row, &gaussian(row), true);
+        }
+        gradient.reset(count);
+        assert_eq!(gradient, MapGradient::new(count));
+        gradient.reset(count + 9);
+        assert_eq!(gradient, MapGradient::new(count + 9));
     }
 
     #[test]

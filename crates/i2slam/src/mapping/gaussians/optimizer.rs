@@ -9,6 +9,7 @@ use crate::objective::{Exposure, FrameVariables, Sampling};
 use i2slam_compute::Adam;
 use i2slam_formation::Formation;
 use i2slam_radiance::gaussian::{GaussianMap, MapGradient, Shape};
+use rayon::prelude::*;
 
 /// λ_img, a mean over pixels (SplaTAM).
 const IMAGE_WEIGHT: f32 = 0.5;
@@ -145,6 +146,9 @@ impl GaussianOptimizer {
     }
 }
 
+/// Gaussians whose steps are counted in one task, at least.
+const MIN_TASK_GAUSSIANS: usize = 8192;
+
 /// Optimiser steps that each Gaussian has taken.
 #[derive(Default)]
 struct StepCounts {
@@ -159,16 +163,16 @@ impl StepCounts {
     fn advance(&mut self, gradient: &MapGradient, only_seen: bool) -> &[u32] {
         let count = gradient.opacity_logits.len();
         self.steps.resize(count, 0);
-        self.active.clear();
-        let colours = gradient.colours.iter().zip(&gradient.means).zip(&gradient.opacity_logits);
-        let seen = colours.map(|((colour, mean), &opacity)| {
-            opacity != 0.0 || colour.iter().chain(mean).any(|&g| g != 0.0)
-        });
-        self.active.extend(self.steps.iter_mut().zip(seen).map(|(steps, seen)| {
-            let moves = seen || !only_seen;
+        self.active.resize(count, 0);
+        let counts = self.steps.par_iter_mut().zip(&mut self.active).enumerate();
+        counts.with_min_len(MIN_TASK_GAUSSIANS).for_each(|(i, (steps, active))| {
+            let derivatives = gradient.colours[i].iter().chain(&gradient.means[i]);
+            let moves = !only_seen
+                || gradient.opacity_logits[i] != 0.0
+                || derivatives.into_iter().any(|&g| g != 0.0);
             *steps += u32::from(moves);
-            if moves { *steps } else { 0 }
-        }));
+            *active = if moves { *steps } else { 0 };
+        });
         &self.active
     }
 
