@@ -20,7 +20,7 @@ const MAX_GAP: f64 = 0.05;
 const BACKGROUND_DEPTH: f32 = 1.25;
 
 /// Least rendered opacity of a pixel at which the map has a surface.
-pub(super) const MIN_SURFACE_OPACITY: f32 = 0.9;
+pub(crate) const MIN_SURFACE_OPACITY: f32 = 0.9;
 
 /// Depth at which a frame extends the map [m]: observed, inpainted if `settings.fill_depth` (for
 /// estimated depth from the surfaces in `render` first), and 0 where nothing was recorded.

@@ -1,15 +1,14 @@
 //! The interface between a session and its map.
 
 use super::context::{MappingContext, OnStep};
-use super::depth_inpainting::MIN_SURFACE_OPACITY;
 use super::keyframe::Keyframe;
 use crate::objective::{FrameObjective, Observation};
 use crate::reconstruction::Map;
 use crate::tracking::{TrackingContext, TrackingResult, track};
 use i2slam_formation::{CameraResponse, TrajectoryScale};
 use i2slam_geometry::{Image, Pose};
-use i2slam_radiance::RadianceMap;
 use i2slam_radiance::hashgrid::SettingsError;
+use i2slam_radiance::{RadianceMap, Render};
 use std::collections::BTreeMap;
 use std::ops::Range;
 use std::sync::Arc;
@@ -35,8 +34,8 @@ pub(crate) trait Mapper: Send {
         scale: TrajectoryScale<f64>,
     ) -> Option<TrackingResult>;
 
-    /// Depth of the surfaces seen from a pose, 0 where there is none; `None` while the map is empty.
-    fn surface(&mut self, world_from_camera: Pose<f64>) -> Option<Image<f32>>;
+    /// The map seen from a pose; `None` while it is empty.
+    fn render(&mut self, world_from_camera: Pose<f64>) -> Option<Render>;
 
     /// Extends the map by what the current frame sees for the first time; starts an empty map. Fails
     /// by settings that allow no map.
@@ -107,8 +106,8 @@ impl<M: RadianceMap> ComparedMap<M> {
         track(context, &mut self.objective, &self.map, observation, response, scale)
     }
 
-    /// See [`Mapper::surface`].
-    pub(super) fn surface(&mut self, world_from_camera: Pose<f64>) -> Image<f32> {
-        self.objective.render(&self.map, world_from_camera).surface(MIN_SURFACE_OPACITY)
+    /// See [`Mapper::render`].
+    pub(super) fn render(&mut self, world_from_camera: Pose<f64>) -> Render {
+        self.objective.render(&self.map, world_from_camera).clone()
     }
 }

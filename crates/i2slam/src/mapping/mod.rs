@@ -15,6 +15,7 @@ mod mapper;
 mod window;
 
 pub(crate) use context::MappingContext;
+pub(crate) use depth_inpainting::MIN_SURFACE_OPACITY;
 pub(crate) use field::{FieldMapper, largest_field};
 pub(crate) use gaussians::GaussianMapper;
 pub(crate) use joint::JointFieldMapper;

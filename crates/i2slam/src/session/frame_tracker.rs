@@ -2,10 +2,10 @@
 //! roughly known.
 
 use crate::config::{InputConfig, MapKind};
-use crate::mapping::{Mapper, MappingContext};
+use crate::mapping::{MIN_SURFACE_OPACITY, Mapper, MappingContext};
 use crate::objective::Observation;
 use crate::reconstruction::FrameEstimate;
-use crate::tracking::{SequenceReadout, TrackingContext};
+use crate::tracking::{ExpectedView, SequenceReadout, TrackingContext};
 use i2slam_formation::TrajectoryScale;
 use i2slam_geometry::Image;
 use std::sync::Arc;
@@ -42,8 +42,8 @@ impl FrameTracker {
         let clock = Instant::now();
         let expected = estimate.middle();
         estimate.tracked = false;
-        let Some(depth) = mapper.surface(expected) else { return false };
-        let observation = with_map_depth(colour, depth);
+        let Some(render) = mapper.render(expected) else { return false };
+        let observation = with_map_depth(colour, render.surface(MIN_SURFACE_OPACITY));
         let tracking = TrackingContext {
             config: context.config,
             camera: context.camera,
@@ -53,7 +53,7 @@ impl FrameTracker {
             frames: others,
             previous,
             before_previous: None,
-            expected: Some(expected),
+            expected: Some(ExpectedView { world_from_camera: expected, render: &render }),
             keyframe: None,
             cancellation: context.cancellation,
         };

@@ -7,6 +7,7 @@ use crate::reconstruction::{Convergence, FrameEstimate, Losses};
 use i2slam_compute::CancellationToken;
 use i2slam_formation::{CameraResponse, CentreVelocity, FrameTone, ShutterPoses, TrajectoryScale};
 use i2slam_geometry::{Camera, Image, Pose, Rotation, Tangent};
+use i2slam_radiance::Render;
 
 /// Share of its speed that a lost camera keeps from frame to frame: the prediction stays near the
 /// last pose that was measured.
@@ -29,12 +30,19 @@ pub(crate) struct TrackingContext<'a> {
     pub(crate) previous: Option<&'a FrameEstimate>,
     /// The frame before that.
     pub(crate) before_previous: Option<&'a FrameEstimate>,
-    /// World-from-camera pose predicted by another source than constant velocity.
-    pub(crate) expected: Option<Pose<f64>>,
+    /// The view predicted by another source than constant velocity.
+    pub(crate) expected: Option<ExpectedView<'a>>,
     /// The last keyframe and its world-from-camera pose when its depth was taken.
     pub(crate) keyframe: Option<(&'a Observation, Pose<f64>)>,
     /// Ends first-order steps early, with the best state so far.
     pub(crate) cancellation: &'a CancellationToken,
+}
+
+/// A pose that a frame is expected at, and the map seen from there.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ExpectedView<'a> {
+    pub(crate) world_from_camera: Pose<f64>,
+    pub(crate) render: &'a Render,
 }
 
 impl TrackingContext<'_> {
@@ -180,7 +188,7 @@ impl PredictedMotion {
     /// the two frames before, and rest with fewer.
     pub(super) fn new(context: &TrackingContext<'_>) -> Self {
         let last = context.previous.map_or_else(Pose::identity, FrameEstimate::middle);
-        if let Some(pose) = context.expected {
+        if let Some(ExpectedView { world_from_camera: pose, .. }) = context.expected {
             let step = context.previous.map_or_else(Tangent::zero, |_| last.local(pose));
             return Self { pose, step };
         }

@@ -8,7 +8,7 @@ mod context;
 mod first_order;
 mod readout;
 
-pub(crate) use context::{TrackingContext, TrackingResult, predict_pose};
+pub(crate) use context::{ExpectedView, TrackingContext, TrackingResult, predict_pose};
 pub(crate) use first_order::RESPONSE_NODE_SPACING;
 pub(crate) use readout::SequenceReadout;
 

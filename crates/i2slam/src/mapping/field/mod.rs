@@ -30,6 +30,7 @@ use crate::tracking::{TrackingContext, TrackingResult, sampling};
 use crate::warning::Warning;
 use i2slam_formation::{CameraResponse, Formation, ResponseCurve, TrajectoryScale};
 use i2slam_geometry::{Camera, Image, Pose};
+use i2slam_radiance::Render;
 use i2slam_radiance::hashgrid::{
     FieldAdam, FieldGradient, FieldSettings, HashGridMap, SettingsError, decayed_rate,
 };
@@ -279,8 +280,8 @@ impl Mapper for FieldMapper {
         Some(self.field.as_mut()?.current.track(context, observation, response, scale))
     }
 
-    fn surface(&mut self, world_from_camera: Pose<f64>) -> Option<Image<f32>> {
-        Some(self.field.as_mut()?.current.surface(world_from_camera))
+    fn render(&mut self, world_from_camera: Pose<f64>) -> Option<Render> {
+        Some(self.field.as_mut()?.current.render(world_from_camera))
     }
 
     fn add(

@@ -19,6 +19,7 @@ use anchors::Anchors;
 use density_control::{SourceFrame, add_gaussians, prune, seed_map};
 use i2slam_formation::{CameraResponse, CentreVelocity, Formation, TrajectoryScale};
 use i2slam_geometry::{Camera, Image, Pose};
+use i2slam_radiance::Render;
 use i2slam_radiance::gaussian::{ColourActivation, GaussianMap, RasterSettings, Shape};
 use i2slam_radiance::hashgrid::SettingsError;
 use merge::merge;
@@ -134,8 +135,8 @@ impl Mapper for GaussianMapper {
         (!self.is_empty()).then(|| self.current.track(context, observation, response, scale))
     }
 
-    fn surface(&mut self, world_from_camera: Pose<f64>) -> Option<Image<f32>> {
-        (!self.is_empty()).then(|| self.current.surface(world_from_camera))
+    fn render(&mut self, world_from_camera: Pose<f64>) -> Option<Render> {
+        (!self.is_empty()).then(|| self.current.render(world_from_camera))
     }
 
     fn add(

@@ -25,6 +25,7 @@ use crate::reconstruction::{Losses, Map};
 use crate::tracking::{TrackingContext, TrackingResult};
 use i2slam_formation::{CameraResponse, TrajectoryScale};
 use i2slam_geometry::{Camera, Image, Pose};
+use i2slam_radiance::Render;
 use i2slam_radiance::hashgrid::{
     FieldAdam, FieldGradient, FieldRenderer, HashGridMap, Occupancy, SettingsError, decayed_rate,
 };
@@ -321,8 +322,8 @@ impl Mapper for JointFieldMapper {
         Some(self.field.as_mut()?.current.track(context, observation, response, scale))
     }
 
-    fn surface(&mut self, world_from_camera: Pose<f64>) -> Option<Image<f32>> {
-        Some(self.field.as_mut()?.current.surface(world_from_camera))
+    fn render(&mut self, world_from_camera: Pose<f64>) -> Option<Render> {
+        Some(self.field.as_mut()?.current.render(world_from_camera))
     }
 
     /// Waits for the first few keyframes, then starts a field that holds what they see, and starts

@@ -39,14 +39,19 @@ pub(super) struct AlignmentTarget {
 }
 
 impl AlignmentTarget {
-    /// The map rendered from `world_from_camera`.
+    /// The map seen from `world_from_camera`, rendered unless the frame is expected there.
     pub(super) fn from_map<M: RadianceMap>(
         frame: &FrameAlignment<'_>,
         objective: &mut FrameObjective<M>,
         map: &M,
         world_from_camera: Pose<f64>,
     ) -> Self {
-        let render = objective.render(map, world_from_camera);
+        let expected = frame.context.expected;
+        let known = expected.filter(|view| view.world_from_camera == world_from_camera);
+        let render = match known {
+            Some(view) => view.render,
+            None => objective.render(map, world_from_camera),
+        };
         Self {
             levels: map_levels(render, frame.levels.len()),
             world_from_camera,
@@ -120,4 +125,80 @@ pub(super) fn active_targets(
         r.has_radiance || KEYFRAME_NOISE_RATIO * r.levels[0].noise < map_scale
     };
     targets.iter().enumerate().filter(move |(_, target)| counts(target))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Config;
+    use crate::objective::Observation;
+    use crate::tracking::{ExpectedView, SequenceReadout, TrackingContext};
+    use i2slam_compute::CancellationToken;
+    use i2slam_geometry::{Camera, Image, Tangent};
+    use i2slam_radiance::Render;
+    use i2slam_radiance::gaussian::{
+        ColourActivation, Gaussian, GaussianMap, RasterSettings, Shape,
+    };
+
+    const CAMERA: Camera<f64> =
+        Camera { width: 32, height: 24, fx: 30.0, fy: 30.0, cx: 16.0, cy: 12.0 };
+
+    fn ball() -> GaussianMap {
+        let mut map = GaussianMap::new(Shape::Isotropic, ColourActivation::Linear);
+        map.push(Gaussian {
+            mean: [0.0, 0.0, 2.0],
+            log_scale: [-1.0; 3],
+            rotation: [1.0, 0.0, 0.0, 0.0],
+            opacity_logit: 5.0,
+            colour: [0.3, 0.5, 0.7],
+        });
+        map
+    }
+
+    /// Radiance of the target at a pose, where the view at the origin is expected to be `render`.
+    fn radiance_at(pose: Pose<f64>, render: &Render) -> Image<f32> {
+        let (config, cancellation) = (Config::default(), CancellationToken::default());
+        let observation = Observation::new(Image::new(32, 24, 3), Image::new(32, 24, 1));
+        let context = TrackingContext {
+            config: &config,
+            camera: &CAMERA,
+            frame_rate: 30.0,
+            readout: SequenceReadout::new(&config.input),
+            timestamps: (0.0, 0.0),
+            frames: &[],
+            previous: None,
+            before_previous: None,
+            expected: Some(ExpectedView { world_from_camera: Pose::identity(), render }),
+            keyframe: None,
+            cancellation: &cancellation,
+        };
+        let frame = FrameAlignment {
+            context: &context,
+            levels: super::super::pyramid::frame_levels(&CAMERA, &observation, 2),
+            observation: &observation,
+            curve: None,
+            pixels_per_unit: [15.0; 6],
+            previous_pose: Pose::identity(),
+            predicted_white_balance: [0.0; 3],
+            predicted_readout: 0.0,
+        };
+        let mut objective = FrameObjective::new(CAMERA.cast(), RasterSettings::default());
+        let target = AlignmentTarget::from_map(&frame, &mut objective, &ball(), pose);
+        assert_eq!((target.levels.len(), target.world_from_camera), (2, pose));
+        target.levels[0].radiance.clone()
+    }
+
+    #[test]
+    fn the_map_is_rendered_where_its_view_is_not_known() {
+        let mut objective = FrameObjective::new(CAMERA.cast(), RasterSettings::default());
+        let mut fresh = |pose| objective.render(&ball(), pose).clone();
+        let away = Pose::identity().retract(Tangent::from_array([0.1, 0.0, 0.0, 0.0, 0.02, 0.0]));
+        let (here, there) = (fresh(Pose::identity()), fresh(away));
+        assert_eq!(radiance_at(Pose::identity(), &here), here.radiance);
+        assert_eq!(radiance_at(away, &here), there.radiance);
+        assert_ne!(here.radiance, there.radiance);
+        let mut known = here.clone();
+        known.radiance.data.fill(0.25);
+        assert_eq!(radiance_at(Pose::identity(), &known), known.radiance);
+    }
 }
