@@ -64,7 +64,7 @@ pub struct FrameUpdate {
     pub status: TrackingStatus,
     /// The picture shows another scene than the one before.
     pub is_cut: bool,
-    /// The picture became a keyframe.
+    /// The picture became a keyframe. With depth none is made where an old one shows the same view.
     pub is_keyframe: bool,
 }
 
@@ -127,17 +127,18 @@ impl FrontEnd {
         self.picture_checks.add(picture);
         let depth = depth.filter(|depth| self.is_in_time(depth.timestamp - timestamp));
         // Points are followed without the map, and the map grows by pictures that were tracked already.
-        let (FrameReport { is_cut, is_keyframe }, ()) =
+        let (FrameReport { is_cut, .. }, ()) =
             rayon::join(|| self.tracker.track(picture), || self.map.extend());
         self.map.state.add_input(picture, timestamp, depth);
         let (frame, is_repeat) = (self.tracker.tracks.frames - 1, &self.picture_checks.is_repeat);
         let status = match self.intrinsics {
-            Intrinsics::Known(_) => self.map.add_frame(&self.tracker, is_repeat),
+            Intrinsics::Known(_) => self.map.add_frame(&mut self.tracker, is_repeat),
             Intrinsics::Guess(_) | Intrinsics::GuessWithDistortion(_) => {
                 TrackingStatus::Initializing
             }
         };
         let pose = self.map.poses.last().copied().flatten();
+        let is_keyframe = self.tracker.tracks.keyframes.last() == Some(&frame);
         Ok(FrameUpdate { frame, pose, status, is_cut, is_keyframe })
     }
 

@@ -80,6 +80,7 @@ mod register {
     pub(crate) mod dense_constraints;
     pub(crate) mod initialization;
     pub(crate) mod registration;
+    pub(crate) mod resection_intersection;
 }
 
 mod intrinsics {
@@ -96,10 +97,12 @@ mod relocalize {
     pub(crate) mod descriptor;
     pub(crate) mod geometric_verification;
     pub(crate) mod relocalization;
+    pub(crate) mod view_overlap;
 }
 
 mod online {
     pub(crate) mod online_map;
+    pub(crate) mod revisits;
 }
 
 mod loops {

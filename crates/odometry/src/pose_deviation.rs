@@ -60,7 +60,11 @@ pub(crate) fn pose_deviations(
     is_repeat: &[bool],
 ) -> (Vec<Option<PoseDeviation>>, Vec<WeakLink>) {
     // Frames whose observations no landmark explains are not determined.
-    let (_, posed, _) = state.bundle(&state.posed_frames(), false);
+    let is_shared = state.shared_landmarks();
+    let is_determined = |frame: &usize| {
+        state.observations_in(*frame).any(|(track, o)| is_shared[track] && !o.is_outlier)
+    };
+    let posed: Vec<usize> = state.posed_frames().into_iter().filter(is_determined).collect();
     let mut out = vec![None; state.poses.len()];
     let mut weak: Vec<(usize, f64)> = Vec::new();
     let is_scale_measured = state.is_scale_measured();
@@ -126,7 +130,11 @@ struct PoseErrors {
 
 impl PoseErrors {
     fn new(state: &SfmState, frames: &[usize]) -> Option<Self> {
-        let (bundle, of_bundle, _) = state.bundle(frames, false);
+        // Of a part of a long path keyframes hold the landmarks that other frames see, too.
+        let keyframes = &state.tracks.keyframes;
+        let is_within =
+            |f: usize| frames.binary_search(&f).is_ok() || keyframes.binary_search(&f).is_ok();
+        let (bundle, of_bundle, _) = state.bundle_within(frames, false, is_within);
         let PoseScatter { samples, remaining } = bundle.pose_scatter(state.noise_scale)?;
         let places: Option<Vec<usize>> =
             frames.iter().map(|frame| of_bundle.binary_search(frame).ok()).collect();

@@ -5,6 +5,7 @@ use crate::intrinsics::focal_length::Intrinsics;
 use crate::intrinsics::observability::reestimate_intrinsics;
 use crate::multiview::lens_distortion::brown_coefficients;
 use crate::pose_deviation::{PoseDeviation, pose_deviations};
+use crate::register::registration::MAX_JOINTLY_ADJUSTED_FRAMES;
 use crate::rolling_shutter::readout::{camera_velocity, median_frame_interval};
 use crate::sfm_state::SfmState;
 use crate::track::tracks::Observation;
@@ -245,7 +246,10 @@ fn focal_deviation(
 }
 
 fn keyframes_with_depth(state: &SfmState, timestamps: &[f64]) -> Vec<Keyframe> {
-    let (mut bundle, _, tracks) = state.bundle(&state.posed_frames(), false);
+    let all = state.posed_frames();
+    let is_long = all.len() > MAX_JOINTLY_ADJUSTED_FRAMES;
+    let is_within = |f: usize| !is_long || state.tracks.keyframes.binary_search(&f).is_ok();
+    let (mut bundle, _, tracks) = state.bundle_within(&all, false, is_within);
     // Poses stay, and take no room among the unknowns.
     bundle.fixed.fill(true);
     let noise_scale = state.residual_scale().unwrap_or(1.0);

@@ -1,19 +1,20 @@
 //! State of the reconstruction: camera, tracks, poses and landmarks.
 
+mod parts;
 mod residuals;
 mod scale;
 
 pub(crate) use scale::MIN_MEASURED_LANDMARKS;
 
-use crate::bundle::{Bundle, BundleObservation, FreeIntrinsics, RelativePoseFactor};
+use crate::bundle::{FreeIntrinsics, RelativePoseFactor};
 use crate::depth::depth_map::{DepthMap, DepthPicture};
 use crate::depth::sensor_model::DepthModel;
 use crate::depth::stored_picture::StoredPicture;
 use crate::multiview::landmark::{Landmark, Match};
-use crate::multiview::lens_distortion::{CameraJacobian, distortion_jacobian, undistort};
+use crate::multiview::lens_distortion::undistort;
 use crate::multiview::triangulation::{PosedObservation, triangulate};
 use crate::progress::Progress;
-use crate::track::tracks::{DepthReading, Observation, Track, Tracks, shared_positions};
+use crate::track::tracks::{Observation, Track, Tracks, repeated_frame, shared_positions};
 use i2slam_geometry::{Camera, Image, Pose, Similarity};
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -138,9 +139,7 @@ impl SfmState {
             self.landmarks.push(None);
         }
         self.tracks.frames = frame + 1;
-        self.tracks.keyframes = tracks.keyframes.clone();
-        self.tracks.keyframe_images.clone_from(&tracks.keyframe_images);
-        self.tracks.replace_repeated_keyframes(is_repeat);
+        self.tracks.add_last_keyframe(tracks, repeated_frame(is_repeat, frame));
     }
 
     /// An empty state of the keyframes alone, with the same camera.
@@ -333,7 +332,7 @@ impl SfmState {
     }
 
     /// Observations of a track that are no outliers, in frames that are adjusted.
-    fn adjusted_inliers(&self, track: usize) -> impl Iterator<Item = &Observation> {
+    pub(crate) fn adjusted_inliers(&self, track: usize) -> impl Iterator<Item = &Observation> {
         let observations = self.tracks.tracks[track].observations.iter();
         observations.filter(|o| !o.is_outlier && self.is_adjusted(o.frame))
     }
@@ -341,6 +340,12 @@ impl SfmState {
     /// Whether two adjusted frames observe a landmark, so that adjustment determines it.
     fn is_seen_twice(&self, track: usize) -> bool {
         self.adjusted_inliers(track).nth(1).is_some()
+    }
+
+    /// Whether each track has a landmark that adjustment determines.
+    pub(crate) fn shared_landmarks(&self) -> Vec<bool> {
+        let is_shared = |track: usize| self.landmarks[track].is_some() && self.is_seen_twice(track);
+        (0..self.landmarks.len()).into_par_iter().map(is_shared).collect()
     }
 
     /// Corrects all observations for a change of the distortion.
@@ -365,89 +370,6 @@ impl SfmState {
             let flat = undistort(&camera, distortion, o.raw);
             (0..2).for_each(|i| o.at[i] = flat[i] + ratio * (o.at[i] - flat[i]));
         }
-    }
-
-    /// Intrinsics that a bundle of so many frames adjusts.
-    fn free_intrinsics(&self, adjust_focal: bool, frames: usize) -> FreeIntrinsics {
-        let is_enough = frames >= MIN_SELF_CALIBRATION_FRAMES;
-        match (self.estimates_distortion && is_enough, self.estimates_readout && is_enough) {
-            _ if !adjust_focal => FreeIntrinsics::None,
-            (true, _) => FreeIntrinsics::FocalLengthAndDistortion,
-            (false, true) => FreeIntrinsics::FocalLengthAndReadout,
-            (false, false) => FreeIntrinsics::FocalLength,
-        }
-    }
-
-    /// Derivatives by distortion, or by the readout: the present correction per frame interval.
-    fn camera_jacobian(&self, free_intrinsics: FreeIntrinsics, o: &Observation) -> CameraJacobian {
-        if free_intrinsics != FreeIntrinsics::FocalLengthAndReadout {
-            return distortion_jacobian(&self.camera, o.raw);
-        }
-        let flat = undistort(&self.camera, self.distortion, o.raw);
-        [std::array::from_fn(|i| (o.at[i] - flat[i]) / self.readout), [0.0; 2]]
-    }
-
-    /// Tracks observed in any of some frames, in order.
-    fn tracks_in(&self, frames: &[usize]) -> Vec<usize> {
-        let mut is_shown = vec![false; self.landmarks.len()];
-        frames.iter().flat_map(|f| &self.by_frame[*f]).for_each(|t| is_shown[*t] = true);
-        (0..is_shown.len()).filter(|t| is_shown[*t]).collect()
-    }
-
-    /// The bundle of `free` frames and all others that share landmarks with them, with the frames
-    /// of its poses and the tracks of its landmarks. The first frame is fixed where none would be.
-    pub(crate) fn bundle(
-        &self,
-        free: &[usize],
-        adjust_focal: bool,
-    ) -> (Bundle, Vec<usize>, Vec<usize>) {
-        let tracks = self.tracks_in(free);
-        let inliers = |track: &usize| self.adjusted_inliers(*track);
-        let kept = |track: &usize| self.landmarks[*track].is_some() && self.is_seen_twice(*track);
-        let tracks: Vec<usize> = tracks.into_iter().filter(kept).collect();
-        let mut place = vec![None; self.poses.len()];
-        tracks.iter().flat_map(inliers).for_each(|o| place[o.frame] = Some(0));
-        let frames: Vec<usize> = (0..place.len()).filter(|f| place[*f].is_some()).collect();
-        frames.iter().enumerate().for_each(|(i, f)| place[*f] = Some(i));
-        let free_intrinsics = self.free_intrinsics(adjust_focal, frames.len());
-        let observation = |o: &Observation| {
-            let camera_jacobian = self.camera_jacobian(free_intrinsics, o);
-            let pose = place[o.frame]?;
-            // Deviations of positions are those of the tracker, which residuals exceed.
-            let scaled = |d: DepthReading| DepthReading { sigma: d.sigma / self.noise_scale, ..d };
-            let depth = o.depth.map(scaled);
-            Some(BundleObservation { pose, at: o.at, sigma: o.sigma, camera_jacobian, depth })
-        };
-        let observations =
-            tracks.iter().map(|t| inliers(t).filter_map(observation).collect()).collect();
-        let mut fixed: Vec<bool> = frames.iter().map(|_| true).collect();
-        free.iter().filter_map(|f| place[*f]).for_each(|i| fixed[i] = false);
-        if !fixed.contains(&true) {
-            fixed.iter_mut().take(1).for_each(|f| *f = true);
-        }
-        let bundle = Bundle {
-            camera: self.camera,
-            poses: frames.iter().filter_map(|f| self.poses[*f]).collect(),
-            fixed,
-            landmarks: tracks.iter().filter_map(|t| self.landmarks[*t]).collect(),
-            observations: Arc::new(observations),
-            relative_poses: Arc::new(self.relative_factors(&place)),
-            camera_change: [0.0; 2],
-            free_intrinsics,
-        };
-        (bundle, frames, tracks)
-    }
-
-    /// Relative poses between frames at places of a bundle, their deviations scaled as those of
-    /// positions.
-    fn relative_factors(&self, place: &[Option<usize>]) -> Vec<RelativePoseFactor> {
-        let square = self.noise_scale * self.noise_scale;
-        let placed = |f: &RelativePoseFactor| {
-            let information = f.information.map(|row| row.map(|v| square * v));
-            let (first, second) = (place[f.first]?, place[f.second]?);
-            Some(RelativePoseFactor { first, second, information, ..*f })
-        };
-        self.relative_poses.iter().filter_map(placed).collect()
     }
 }
 

@@ -18,6 +18,7 @@ mod normal_equations;
 mod picture_region;
 mod pose_scatter;
 mod relative_pose;
+mod resection;
 mod response;
 mod sparsity;
 

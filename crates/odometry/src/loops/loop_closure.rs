@@ -12,6 +12,7 @@ use crate::relocalize::geometric_verification::{
     Relocalization, match_and_verify, verify_known_pose,
 };
 use crate::relocalize::relocalization::candidate_keyframes;
+use crate::relocalize::view_overlap::{MIN_VISIBLE_LANDMARKS, SAMPLED_LANDMARKS, view_overlap};
 use crate::sfm_state::SfmState;
 use crate::track::thumbnail::KeyframeImage;
 use crate::track::tracks::Observation;
@@ -29,12 +30,8 @@ const MAX_SHARED_POINTS: usize = 15;
 const CONSISTENCY_WINDOW: usize = 4;
 /// Largest disagreement: rotation [rad], translation over the scene's distance, logarithm of scale.
 const MAX_DISAGREEMENT: [f64; 3] = [0.06, 0.12, 0.15];
-/// Keyframes that one is merged with, at most; landmarks sampled for the overlap and the number
-/// that must be visible; angle between the viewing directions [rad].
+/// Keyframes that one is merged with, at most.
 const MAX_MERGED_KEYFRAMES: usize = 3;
-const SAMPLED_LANDMARKS: usize = 24;
-const MIN_VISIBLE_LANDMARKS: usize = 12;
-const MAX_VIEW_ANGLE: f64 = 0.7;
 /// Largest plausible drift: translation as a ratio of the path's length, or of the scene's distance
 /// if that is more; rotation [rad]; logarithm of scale.
 const MAX_TRANSLATION_DRIFT: f64 = 0.25;
@@ -84,7 +81,7 @@ pub(crate) fn merge_overlapping_keyframes(state: &mut SfmState, adjust_focal: bo
         let mut near: Vec<(usize, &Arc<KeyframeImage>)> =
             (state.tracks.keyframe_images.iter().enumerate())
                 .filter(|(old, _)| old.abs_diff(new) > 1)
-                .map(|(_, other)| (count_visible_landmarks(state, image, other), other))
+                .map(|(_, other)| (view_overlap(state, image.frame, other.frame).visible, other))
                 .filter(|(visible, other)| {
                     *visible >= MIN_VISIBLE_LANDMARKS
                         && state.shared_count(image.frame, other.frame) < MAX_SHARED_POINTS
@@ -100,28 +97,6 @@ pub(crate) fn merge_overlapping_keyframes(state: &mut SfmState, adjust_focal: bo
         observations.into_iter().for_each(|s| state.add_observations(s));
         adjust_path(state, adjust_focal);
     }
-}
-
-/// Number of sampled landmarks of another keyframe that project into this one's picture.
-fn count_visible_landmarks(
-    state: &SfmState,
-    image: &KeyframeImage,
-    other: &KeyframeImage,
-) -> usize {
-    let (Some(pose), Some(there)) = (state.poses[image.frame], state.poses[other.frame]) else {
-        return 0;
-    };
-    if pose.local(there).rotation.norm() > MAX_VIEW_ANGLE {
-        return 0;
-    }
-    let known = |track: &usize| state.landmarks[*track].as_ref();
-    let shown = &state.by_frame[other.frame];
-    let some = shown.iter().step_by((shown.len() / SAMPLED_LANDMARKS).max(1));
-    let inside = |l: &&Landmark| {
-        let at = l.image_position(&state.camera, &pose);
-        at.is_some_and(|at| state.camera.contains(at[0], at[1], 0.0))
-    };
-    some.take(SAMPLED_LANDMARKS).filter_map(known).filter(inside).count()
 }
 
 /// Median distance of landmarks from their first camera.

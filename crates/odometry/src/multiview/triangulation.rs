@@ -91,7 +91,7 @@ fn inverse_depth(
 }
 
 /// Levenberg-Marquardt on the landmark alone.
-fn refine_landmark(
+pub(crate) fn refine_landmark(
     camera: &Camera<f64>,
     start: Landmark,
     observations: &[PosedObservation<'_>],

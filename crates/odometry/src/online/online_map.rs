@@ -6,6 +6,7 @@
 
 use crate::depth::readings::{read_depth_at_prediction, read_depth_in};
 use crate::depth::scale::scale_to_readings;
+use crate::online::revisits::{Revisit, find_revisit};
 use crate::register::dense_constraints::{RECENT_KEYFRAMES, RecentKeyframes};
 use crate::register::initialization::initialize;
 use crate::register::registration::{
@@ -23,6 +24,7 @@ use crate::track::tracker::{BACKWARD_FRAMES, Tracker};
 use crate::track::tracks::repeated_frame;
 use i2slam_compute::median;
 use i2slam_geometry::{Pose, Similarity};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// Keyframes among which the first pair of a map is searched.
@@ -55,6 +57,9 @@ pub(crate) struct OnlineMap {
     pending_keyframe: Option<usize>,
     /// Keyframes at the last adjustment of all of them.
     adjusted_keyframes: usize,
+    /// The keyframe that the frames of now move with, and the frames that move with each.
+    reference: usize,
+    followers: BTreeMap<usize, Vec<usize>>,
 }
 
 impl OnlineMap {
@@ -67,11 +72,17 @@ impl OnlineMap {
             recent_keyframes: RecentKeyframes::default(),
             pending_keyframe: None,
             adjusted_keyframes: 0,
+            reference: 0,
+            followers: BTreeMap::new(),
         }
     }
 
     /// Adds the last frame of the tracker, whose timestamp, depth and picture the state has already.
-    pub(crate) fn add_frame(&mut self, tracker: &Tracker, is_repeat: &[bool]) -> TrackingStatus {
+    pub(crate) fn add_frame(
+        &mut self,
+        tracker: &mut Tracker,
+        is_repeat: &[bool],
+    ) -> TrackingStatus {
         let frame = self.state.poses.len();
         self.state.add_frame(&tracker.tracks, tracker.tracked(), is_repeat);
         let interval = median_frame_interval(&self.state.timestamps).unwrap_or(0.0);
@@ -83,22 +94,54 @@ impl OnlineMap {
         }
         let own = repeated_frame(is_repeat, frame);
         if tracker.tracks.keyframes.last() == Some(&frame) {
-            self.begin_keyframe(own);
+            self.begin_keyframe(own, tracker, interval);
         }
+        self.followers.entry(self.reference).or_default().push(frame);
         self.poses.push(self.state.poses[own]);
         self.status()
     }
 
     /// Starts a map at a keyframe, or prepares the present one to be extended by it.
-    fn begin_keyframe(&mut self, frame: usize) {
+    fn begin_keyframe(&mut self, frame: usize, tracker: &mut Tracker, interval: f64) {
         if !self.is_started() {
+            self.reference = frame;
             self.start();
             return;
         }
         if self.state.poses[frame].is_none() {
             relocalize_any_of(&mut self.state, &[frame], &mut self.failed);
         }
-        self.pending_keyframe = self.state.poses[frame].map(|_| frame);
+        let is_own = frame + 1 == self.state.poses.len();
+        if self.state.poses[frame].is_none() || (is_own && self.is_covered(tracker, interval)) {
+            return;
+        }
+        (self.pending_keyframe, self.reference) = (Some(frame), frame);
+    }
+
+    /// Follows old landmarks that the last frame, a keyframe with a pose, shows again; drops it as a
+    /// keyframe and returns true where an old one shows its view. By colour alone lengths drift, and
+    /// loops are closed at the end.
+    fn is_covered(&mut self, tracker: &mut Tracker, interval: f64) -> bool {
+        let frame = self.state.poses.len() - 1;
+        let state = &mut self.state;
+        if state.is_unscaled || state.depth_maps[frame].is_none() {
+            return false;
+        }
+        let Revisit { observations, covered_by } = find_revisit(state);
+        if observations.is_empty() {
+            return false;
+        }
+        tracker.resume(&observations);
+        state.add_observations(observations);
+        read_depth_in(state, frame, interval);
+        if let Some(refined) = refine_pose(state, frame) {
+            state.poses[frame] = Some(refined);
+        }
+        let Some(keyframe) = covered_by else { return false };
+        state.tracks.drop_last_keyframe();
+        tracker.drop_keyframe();
+        self.reference = keyframe;
+        true
     }
 
     /// Extends the map by the last frame if it was a keyframe, and looks for the readout where that is
@@ -189,7 +232,7 @@ impl OnlineMap {
                 false => adjust_nearest(state, frame),
             }
         });
-        move_with_keyframes(state, &before);
+        move_with_keyframes(state, &before, &self.followers);
     }
 
     /// Looks for the readout, and adjusts the path to it: in the first frames by a map with the one
@@ -203,7 +246,7 @@ impl OnlineMap {
                 estimate_rolling_shutter(state, &timestamps, false);
                 adjust_globally(state, false);
             });
-            move_with_keyframes(&mut self.state, &before);
+            move_with_keyframes(&mut self.state, &before, &self.followers);
             return;
         }
         let mut other = self.clone();
@@ -238,7 +281,7 @@ impl OnlineMap {
         correct_observations(state, timestamps, state.readout * interval, interval);
         let before = posed_keyframes(state);
         state.with_keyframes_alone(|state| adjust_globally(state, false));
-        move_with_keyframes(state, &before);
+        move_with_keyframes(state, &before, &self.followers);
     }
 
     /// Median residual of all keyframes [standard deviations] over the number of inliers: a map that
@@ -283,15 +326,19 @@ fn posed_keyframes(state: &SfmState) -> Vec<(usize, Pose<f64>)> {
     state.tracks.keyframes.iter().filter_map(|f| Some((*f, state.poses[*f]?))).collect()
 }
 
-/// Moves every frame between keyframes with the keyframe before it, given where those were.
-fn move_with_keyframes(state: &mut SfmState, before: &[(usize, Pose<f64>)]) {
-    let last = state.poses.len();
-    for (place, (keyframe, was)) in before.iter().enumerate() {
-        let end = before.get(place + 1).map_or(last, |(next, _)| *next);
+/// Moves every frame with the keyframe that it follows, given where those were.
+fn move_with_keyframes(
+    state: &mut SfmState,
+    before: &[(usize, Pose<f64>)],
+    followers: &BTreeMap<usize, Vec<usize>>,
+) {
+    for (keyframe, was) in before {
         let Some(now) = state.poses[*keyframe].filter(|now| now != was) else { continue };
         let moved = now * was.inverse();
-        for pose in state.poses[keyframe + 1..end].iter_mut().flatten() {
-            *pose = moved * *pose;
+        for frame in followers.get(keyframe).into_iter().flatten().filter(|f| *f != keyframe) {
+            if let Some(pose) = &mut state.poses[*frame] {
+                *pose = moved * *pose;
+            }
         }
     }
 }

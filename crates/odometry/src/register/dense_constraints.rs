@@ -7,26 +7,33 @@ use crate::alignment::{DenseConstraint, DensePyramid, DenseView, ExposureMotion,
 use crate::bundle::RelativePoseFactor;
 use crate::depth::depth_map::DepthMap;
 use crate::depth::registration::register_depth;
+use crate::online::revisits::MIN_REVISIT_AGE;
 use crate::progress::Stage;
 use crate::rolling_shutter::readout::{camera_velocity, median_frame_interval};
 use crate::sfm_state::SfmState;
 use i2slam_geometry::{Camera, Image, Pose, Tangent};
 use rayon::prelude::*;
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::fmt::{self, Debug, Formatter};
-use std::ops::Range;
 use std::sync::Arc;
 
 /// Keyframes before and after one that it is aligned to.
 const KEYFRAME_REACH: usize = 3;
+/// Keyframes to which a frame is aligned that came long after the one before it.
+const REVISITED_KEYFRAMES: usize = 2;
+/// Points that a keyframe and a frame share, at least.
+const MIN_SHARED_POINTS: usize = 8;
 /// Keyframes to which a new one is aligned when it comes.
 pub(crate) const RECENT_KEYFRAMES: usize = 1;
 /// Share of the frame interval for which the shutter is taken to be open: the difference of the
 /// blur of two pictures is a small correction.
 const OPEN_SHARE: f64 = 0.5;
-/// Frames from the first keyframe on whose prepared pictures are kept at once, some 50 bytes per
-/// pixel each.
+/// Frames from which on no more keyframes are added to those whose prepared pictures are kept at
+/// once, some 50 bytes per pixel each.
 const MAX_PART_FRAMES: usize = 24;
+
+/// A keyframe and a frame that is aligned to it.
+type Pair = (usize, usize);
 
 /// Aligns all frames to the keyframes around them.
 pub(crate) fn add_dense_constraints(state: &mut SfmState) {
@@ -36,38 +43,46 @@ pub(crate) fn add_dense_constraints(state: &mut SfmState) {
     state.progress.report(Stage::BundleAdjustment, 0, 0);
     let keyframes: Vec<usize> =
         state.tracks.keyframes.iter().copied().filter(|f| state.poses[*f].is_some()).collect();
-    let mut found = Vec::new();
-    for part in parts(&keyframes) {
-        found.extend(constraints(state, &keyframes, part));
-    }
+    let parts = parts(pairs(state, &keyframes));
+    let found = parts.iter().flat_map(|part| constraints(state, part)).collect();
     state.relative_poses = Arc::new(found);
 }
 
-/// Runs of keyframes, by place, whose frames are prepared together.
-fn parts(keyframes: &[usize]) -> Vec<Range<usize>> {
-    let (mut out, mut begin) = (Vec::new(), 0);
-    for place in 1..=keyframes.len() {
-        let is_full = |next: &usize| next - keyframes[begin] >= MAX_PART_FRAMES;
-        if keyframes.get(place).is_none_or(is_full) {
-            out.push(begin..place);
-            begin = place;
+/// All pairs that are aligned, in order of keyframes.
+fn pairs(state: &SfmState, keyframes: &[usize]) -> Vec<Pair> {
+    let mut frames: Vec<Vec<usize>> = (0..keyframes.len())
+        .map(|place| frames_around(keyframes, place, state.poses.len()))
+        .collect();
+    for (place, keyframe) in keyframes.iter().enumerate() {
+        frames[place].retain(|frame| state.shared_count(*keyframe, *frame) >= MIN_SHARED_POINTS);
+    }
+    for (place, frame) in revisits(state, keyframes) {
+        frames[place].push(frame);
+    }
+    let of = |(keyframe, frames): (&usize, Vec<usize>)| {
+        frames.into_iter().map(|frame| (*keyframe, frame)).collect::<Vec<_>>()
+    };
+    keyframes.iter().zip(frames).flat_map(of).collect()
+}
+
+/// Runs of pairs whose frames are prepared together.
+fn parts(pairs: Vec<Pair>) -> Vec<Vec<Pair>> {
+    let (mut out, mut frames) = (vec![Vec::new()], BTreeSet::new());
+    for (keyframe, frame) in pairs {
+        let is_full = frames.len() >= MAX_PART_FRAMES && !frames.contains(&keyframe);
+        if is_full || frames.len() >= 2 * MAX_PART_FRAMES {
+            out.push(Vec::new());
+            frames.clear();
         }
+        frames.extend([keyframe, frame]);
+        let last = out.len() - 1;
+        out[last].push((keyframe, frame));
     }
     out
 }
 
-/// Constraints of a run of keyframes, in order; every frame around them is prepared once.
-fn constraints(
-    state: &SfmState,
-    keyframes: &[usize],
-    part: Range<usize>,
-) -> Vec<RelativePoseFactor> {
-    let pairs: Vec<(usize, usize)> = part
-        .flat_map(|place| {
-            let frames = frames_around(keyframes, place, state.poses.len());
-            frames.into_iter().map(move |frame| (keyframes[place], frame))
-        })
-        .collect();
+/// Constraints of some pairs, in order; every frame among them is prepared once.
+fn constraints(state: &SfmState, pairs: &[Pair]) -> Vec<RelativePoseFactor> {
     let mut frames: Vec<usize> = pairs.iter().flat_map(|(a, b)| [*a, *b]).collect();
     frames.sort_unstable();
     frames.dedup();
@@ -91,13 +106,46 @@ fn constraints(
     found.into_iter().flatten().collect()
 }
 
-/// Frames between the keyframes before and after one, and a few keyframes after it.
+/// Frames between one keyframe and those before and after it, where these came soon, and a few
+/// keyframes after it.
 fn frames_around(keyframes: &[usize], place: usize, frames: usize) -> Vec<usize> {
-    let before = place.checked_sub(1).map_or(0, |place| keyframes[place] + 1);
+    let keyframe = keyframes[place];
+    let before = place.checked_sub(1).map(|place| keyframes[place]);
     let after = keyframes.get(place + 1).copied().unwrap_or(frames);
-    let near = (before..after).filter(|frame| *frame != keyframes[place]);
-    let later = keyframes.iter().skip(place + 1).take(KEYFRAME_REACH).copied();
-    near.chain(later).collect()
+    let is_soon = |first: usize, last: usize| last - first <= MIN_REVISIT_AGE;
+    let earlier = match before {
+        Some(before) if is_soon(before, keyframe) => before + 1..keyframe,
+        Some(_) => keyframe..keyframe,
+        None => 0..keyframe,
+    };
+    let later = if is_soon(keyframe, after) { keyframe + 1..after } else { 0..0 };
+    let next = keyframes.iter().skip(place + 1).take(KEYFRAME_REACH).copied();
+    earlier.chain(later).chain(next).collect()
+}
+
+/// Frames long after a keyframe and before the next one, which came while the camera saw known
+/// places again, with the places of the keyframes that share most points with each.
+fn revisits(state: &SfmState, keyframes: &[usize]) -> Vec<(usize, usize)> {
+    let mut place_of = vec![None; state.poses.len()];
+    keyframes.iter().enumerate().for_each(|(place, frame)| place_of[*frame] = Some(place));
+    let ends = keyframes.iter().skip(1).copied().chain([state.poses.len()]);
+    let gaps = keyframes.iter().zip(ends).filter(|(first, end)| *end - **first > MIN_REVISIT_AGE);
+    let frames: Vec<usize> = gaps.flat_map(|(first, end)| first + 1..end).collect();
+    let of_frame = |frame: &usize| {
+        let mut counts: BTreeMap<usize, usize> = BTreeMap::new();
+        for track in &state.by_frame[*frame] {
+            let seen = state.tracks.tracks[*track].observations.iter();
+            seen.filter_map(|o| place_of[o.frame])
+                .for_each(|place| *counts.entry(place).or_default() += 1);
+        }
+        let mut counts: Vec<(usize, usize)> = counts.into_iter().collect();
+        counts.retain(|(_, count)| *count >= MIN_SHARED_POINTS);
+        counts.sort_by_key(|(place, count)| (usize::MAX - count, *place));
+        counts.truncate(REVISITED_KEYFRAMES);
+        counts.into_iter().map(|(place, _)| (place, *frame)).collect::<Vec<_>>()
+    };
+    let found: Vec<Vec<(usize, usize)>> = frames.par_iter().map(of_frame).collect();
+    found.into_iter().flatten().collect()
 }
 
 /// Prepared pictures of the last keyframes, to which a new one is aligned.
@@ -118,6 +166,9 @@ impl RecentKeyframes {
         }
         let Some(view) = PreparedView::new(state, frame) else { return };
         let aligned = |(reference, known): &(usize, Arc<PreparedView>)| {
+            if state.shared_count(*reference, frame) < MIN_SHARED_POINTS {
+                return None;
+            }
             constraint(state, (*reference, known), (frame, &view))
         };
         let found: Vec<_> = self.0.par_iter().filter_map(aligned).collect();
@@ -185,4 +236,62 @@ fn camera_of(camera: &Camera<f64>, picture: &Image<f32>) -> Camera<f64> {
         small = Camera { width, height, fx, fy, cx, cy };
     }
     small
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fixtures;
+    use i2slam_geometry::{Rotation, Vec3};
+
+    /// Keyframes while a camera walks on for 60 frames; then it stays where frame 20 was.
+    fn walk_and_return() -> SfmState {
+        let place = |frame: usize| if frame < 60 { frame } else { 20 };
+        let pose = |frame: usize| {
+            Pose::new(Rotation::identity(), Vec3::new(0.1 * place(frame) as f64, 0.0, 0.0))
+        };
+        let observe = |point: Vec3<f64>, frame: usize, _: &[f64]| {
+            let (u, v) = fixtures::camera().project(pose(frame).inverse() * point);
+            Some([u, v])
+        };
+        let mut state = fixtures::state((160, 12, 1), [100.0; 2], pose, observe);
+        state.tracks.keyframes = (0..60).step_by(5).collect();
+        let known = state.by_frame[20].clone();
+        let again = |frame: usize| {
+            let at = |track: &usize| state.tracks.tracks[*track].observation_in(20).copied();
+            let seen = known.iter().filter_map(|track| Some((*track, at(track)?)));
+            seen.map(|(track, o)| (track, crate::track::tracks::Observation { frame, ..o }))
+                .collect::<Vec<_>>()
+        };
+        let observations: Vec<_> = (70..160).flat_map(again).collect();
+        state.add_observations(observations);
+        state
+    }
+
+    #[test]
+    fn frames_of_a_known_place_are_aligned_to_the_keyframes_that_show_it() {
+        let state = walk_and_return();
+        let keyframes = state.tracks.keyframes.clone();
+        let pairs = pairs(&state, &keyframes);
+        let references = |frame: usize| -> Vec<usize> {
+            pairs.iter().filter(|(_, f)| *f == frame).map(|(keyframe, _)| *keyframe).collect()
+        };
+        assert_eq!(references(23), [20, 25]);
+        for frame in [100, 159] {
+            let found = references(frame);
+            assert!(found.len() == 2 && found.contains(&20), "{frame}: {found:?}");
+        }
+    }
+
+    #[test]
+    fn pairs_are_prepared_in_order_and_a_few_at_a_time() {
+        let state = walk_and_return();
+        let all = pairs(&state, &state.tracks.keyframes);
+        let parts = parts(all.clone());
+        assert_eq!(parts.concat(), all);
+        for part in parts {
+            let frames: BTreeSet<usize> = part.iter().flat_map(|(a, b)| [*a, *b]).collect();
+            assert!(frames.len() <= 2 * MAX_PART_FRAMES + 1, "{}", frames.len());
+        }
+    }
 }

@@ -3,6 +3,7 @@
 use crate::depth::readings::update_depth_model;
 use crate::multiview::pnp::{PnpSolution, solve_pnp};
 use crate::progress::Stage;
+use crate::register::resection_intersection::adjust_in_turn;
 use crate::sfm_state::SfmState;
 use i2slam_geometry::Pose;
 use rayon::prelude::*;
@@ -17,7 +18,7 @@ pub(crate) const GLOBAL_ADJUSTMENT_GROWTH: f64 = 1.3;
 /// Distance in keyframes from a registered one within which keyframes are tried first.
 const NEIGHBOURHOOD: usize = 3;
 /// Frames up to which all are adjusted jointly every time.
-const MAX_JOINTLY_ADJUSTED_FRAMES: usize = 300;
+pub(crate) const MAX_JOINTLY_ADJUSTED_FRAMES: usize = 300;
 const LOCAL_STEPS: usize = 6;
 const GLOBAL_STEPS: usize = 20;
 
@@ -74,26 +75,35 @@ pub(crate) fn adjust_path(state: &mut SfmState, adjust_focal: bool) -> f64 {
 /// Adjusts all frames jointly, or those of a long sequence as [`adjust_path`] does: speeds between
 /// frames, on which the readout rests, need their neighbours adjusted, too.
 pub(crate) fn adjust_all_frames(state: &mut SfmState, adjust_focal: bool) {
-    match state.posed_frames().len() <= MAX_JOINTLY_ADJUSTED_FRAMES {
-        true => adjust_globally(state, adjust_focal),
-        false => adjust_keyframes(state, adjust_focal),
+    match is_long(state) {
+        true => adjust_keyframes(state, adjust_focal),
+        false => adjust_globally(state, adjust_focal),
     };
 }
 
-/// Adjusts all frames jointly where [`adjust_path`] did not.
+/// Adjusts all frames where [`adjust_path`] did not: jointly, or in a long sequence with depth, whose
+/// dense constraints tie frames to keyframes, in turn with the landmarks.
 pub(crate) fn adjust_remaining_frames(state: &mut SfmState, adjust_focal: bool) {
-    if !adjusts_all(state) {
+    if state.is_metric() && is_long(state) {
+        adjust_keyframes(state, adjust_focal);
+        adjust_in_turn(state);
+    } else if !adjusts_all(state) {
         adjust_globally(state, adjust_focal);
     }
 }
 
+/// Whether a path has more frames than are adjusted jointly.
+fn is_long(state: &SfmState) -> bool {
+    state.posed_frames().len() > MAX_JOINTLY_ADJUSTED_FRAMES
+}
+
 fn adjusts_all(state: &SfmState) -> bool {
-    !state.is_metric() && state.posed_frames().len() <= MAX_JOINTLY_ADJUSTED_FRAMES
+    !state.is_metric() && !is_long(state)
 }
 
 /// Adjusts the keyframes jointly, and every frame between them to their landmarks; returns the mean
 /// cost.
-fn adjust_keyframes(state: &mut SfmState, adjust_focal: bool) -> f64 {
+pub(crate) fn adjust_keyframes(state: &mut SfmState, adjust_focal: bool) -> f64 {
     let cost = state.with_keyframes_alone(|state| adjust_globally(state, adjust_focal));
     register_between(state, &(0..state.poses.len()).collect::<Vec<_>>());
     register_remaining_frames(state);

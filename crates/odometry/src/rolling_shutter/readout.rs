@@ -63,13 +63,12 @@ impl<'a> ReadoutSearch<'a> {
             let parts = posed.chunks(posed.len().div_ceil(SAMPLE_STRETCHES));
             parts.map(|part| fastest_turning_stretch(state, part)).collect()
         };
-        let mut sample = state.clone();
-        sample.progress = state.progress.without_listener();
-        sample.estimates_readout = false;
         // Frames that are left out of adjustment tell velocities, too.
         let is_within =
             |f: usize| stretches.iter().any(|s| s.first() <= Some(&f) && Some(&f) <= s.last());
-        (0..sample.poses.len()).filter(|f| !is_within(*f)).for_each(|f| sample.poses[f] = None);
+        let mut sample = state.within(is_within);
+        sample.progress = state.progress.without_listener();
+        sample.estimates_readout = false;
         let free = stretches.iter().flat_map(|s| s.iter().skip(1)).copied().collect();
         Self { state: sample, free, timestamps, interval, adjust_focal }
     }

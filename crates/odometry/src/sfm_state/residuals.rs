@@ -61,9 +61,7 @@ impl SfmState {
     /// Residuals [standard deviations] of the landmarks in some frames, without those that only one
     /// adjusted frame observes: they lie where it sees them.
     pub(crate) fn residuals_in(&self, frames: &[usize]) -> Vec<f64> {
-        let is_shared =
-            |track: &usize| self.landmarks[*track].is_some() && self.is_seen_twice(*track);
-        let is_shared: Vec<bool> = (0..self.landmarks.len()).map(|t| is_shared(&t)).collect();
+        let is_shared = self.shared_landmarks();
         let mut all = Vec::new();
         for frame in frames {
             let Some(pose) = self.poses[*frame] else { continue };

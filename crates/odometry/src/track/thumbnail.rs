@@ -3,6 +3,7 @@
 use crate::track::global_translation::overlap_correlation;
 use crate::track::pyramid::Pyramid;
 use i2slam_geometry::Image;
+use std::sync::Arc;
 
 /// Pixels of the kept picture: the finest pyramid level with at most so many.
 const MAX_PIXELS: usize = 160_000;
@@ -39,6 +40,14 @@ impl KeyframeImage {
         let thumbnail = pyramid.coarsest().0.resized_by_area(COLUMNS, ROWS);
         let scale = (1_usize << level) as f64;
         Self { frame, width: image.width, height: image.height, brightness, scale, thumbnail }
+    }
+
+    /// The picture as that of another frame, which repeats it.
+    pub(crate) fn of_frame(image: &Arc<Self>, frame: usize) -> Arc<Self> {
+        match image.frame == frame {
+            true => Arc::clone(image),
+            false => Arc::new(Self { frame, ..Self::clone(image) }),
+        }
     }
 
     /// The kept picture as a pyramid.

@@ -1,5 +1,7 @@
 //! Tracks points through a sequence, also backward from their first keyframe; chooses keyframes.
 
+mod resumption;
+
 use crate::track::corners::detect_corners;
 use crate::track::global_translation::estimate_global_translation;
 use crate::track::motion_blur::{EqualBlur, SHARES, ShutterShare};
@@ -23,17 +25,19 @@ const MAX_HIDDEN_FRAMES: usize = 3;
 /// Correlation below which a keyframe gives a point a new anchor.
 const REANCHOR_CORRELATION: f32 = 0.85;
 /// A keyframe is due when points have moved by this ratio of the picture's width, ...
-const KEYFRAME_DUE_MOTION: f32 = 0.03;
+pub(crate) const KEYFRAME_DUE_MOTION: f32 = 0.03;
 /// ... or when this ratio of the last keyframe's points is left, ...
-const KEYFRAME_DUE_OVERLAP: f32 = 0.7;
+pub(crate) const KEYFRAME_DUE_OVERLAP: f32 = 0.7;
 /// ... or after so many frames in which points have moved by this ratio of the width.
-const KEYFRAME_INTERVAL: usize = 8;
+pub(crate) const KEYFRAME_INTERVAL: usize = 8;
 const MIN_KEYFRAME_MOTION: f32 = 0.006;
 /// Frames before a keyframe through which its new points are tracked backward.
 pub(crate) const BACKWARD_FRAMES: usize = 16;
 /// A keyframe waits for a frame of this ratio of the median sharpness, for so many frames.
 const MIN_KEYFRAME_SHARPNESS: f32 = 0.85;
 const MAX_KEYFRAME_DELAY: usize = 3;
+/// Smallest side of a cell [px].
+const MIN_CELL: usize = 8;
 /// Points that a keyframe must show: with fewer it could not be registered.
 const MIN_POINTS: usize = 12;
 /// Correlation of consecutive pictures below which the scene has changed.
@@ -90,8 +94,10 @@ pub(crate) struct Tracker {
     anchors: BTreeMap<usize, TrackedPicture>,
     shutter: ShutterShare,
     sharpness: Vec<f32>,
-    /// Points of the last keyframe.
+    /// The last frame from which points began, points there, and the first track that began in it.
+    last_keyframe: usize,
     keyframe_points: usize,
+    first_new_track: usize,
     /// Frames for which a keyframe has been due.
     frames_due: usize,
 }
@@ -229,9 +235,8 @@ impl Tracker {
         let overlap = motions.len() as f32 / self.keyframe_points.max(1) as f32;
         let motion = median(&mut motions).unwrap_or(f32::INFINITY);
         let width = image.width as f32;
-        let last = self.tracks.keyframes.last().copied().unwrap_or(0);
-        let is_late =
-            self.tracks.frames >= last + KEYFRAME_INTERVAL && motion > MIN_KEYFRAME_MOTION * width;
+        let is_late = self.tracks.frames >= self.last_keyframe + KEYFRAME_INTERVAL
+            && motion > MIN_KEYFRAME_MOTION * width;
         if motion < KEYFRAME_DUE_MOTION * width && overlap > KEYFRAME_DUE_OVERLAP && !is_late {
             self.frames_due = 0;
             return false;
@@ -257,7 +262,8 @@ impl Tracker {
 
     /// Gives points that have changed a new anchor and starts points in empty cells.
     fn begin_keyframe(&mut self, next: &TrackedPicture, frame: usize) {
-        self.frames_due = 0;
+        (self.frames_due, self.last_keyframe) = (0, frame);
+        self.first_new_track = self.tracks.tracks.len();
         self.tracks.keyframes.push(frame);
         let image = KeyframeImage::new(&next.pyramid, frame);
         self.tracks.keyframe_images.push(Arc::new(image));
@@ -281,12 +287,17 @@ impl Tracker {
             self.points.push(point);
             self.tracks.tracks.push(track);
         }
+        self.anchors.insert(frame, next.clone());
+        self.end_keyframe();
+    }
+
+    /// Starts to measure motion and overlap from the last keyframe, and drops anchors without points.
+    fn end_keyframe(&mut self) {
         for point in &mut self.points {
             point.at_keyframe = (point.hidden_frames == 0).then_some(point.warp.centre);
         }
         self.keyframe_points = self.points.iter().filter(|p| p.hidden_frames == 0).count();
         let used: BTreeSet<usize> = self.points.iter().map(|p| p.anchor_frame).collect();
-        self.anchors.insert(frame, next.clone());
         self.anchors.retain(|frame, _| used.contains(frame));
     }
 
@@ -311,17 +322,23 @@ impl Tracker {
             (warp, here) = (outcome.warp, before);
         }
         observations.reverse();
-        let point = TrackedPoint {
-            track: 0,
+        Some((TrackedPoint::new(0, at, anchor, frame), Track { observations }))
+    }
+}
+
+impl TrackedPoint {
+    /// A point of a track whose anchor is at a position of a frame.
+    fn new(track: usize, at: [f32; 2], anchor: AnchorPatch, anchor_frame: usize) -> Self {
+        Self {
+            track,
             warp: AffineWarp::translation(at),
             anchor,
-            anchor_frame: frame,
+            anchor_frame,
             hidden_frames: 0,
             is_followed: true,
             at_keyframe: None,
             correlation: 1.0,
-        };
-        Some((point, Track { observations }))
+        }
     }
 }
 
@@ -334,8 +351,12 @@ impl TrackedPicture {
 
 /// Corners in cells without a tracked point; some 600 of 800 cells have one.
 fn new_corners(image: &Image<f32>, taken: &[[f32; 2]]) -> Vec<[f32; 2]> {
-    let cell = (((image.width * image.height) as f32 / MAX_CORNERS).sqrt() as usize).max(8);
-    detect_corners(image, cell, RADIUS + 2, taken)
+    detect_corners(image, cell_size(image), RADIUS + 2, taken)
+}
+
+/// Side of a cell [px].
+fn cell_size(image: &Image<f32>) -> usize {
+    (((image.width * image.height) as f32 / MAX_CORNERS).sqrt() as usize).max(MIN_CELL)
 }
 
 /// Mean difference of neighbours over brightness: lowered by blur, hardly by exposure.

@@ -94,25 +94,30 @@ impl Tracks {
         for track in &mut self.tracks {
             track.observations.retain(|o| !repeats(o.frame));
         }
-        self.replace_repeated_keyframes(is_repeat);
+        self.keyframes.iter_mut().for_each(|frame| *frame = repeated_frame(is_repeat, *frame));
+        self.keyframes.dedup();
+        for image in &mut self.keyframe_images {
+            *image = KeyframeImage::of_frame(image, repeated_frame(is_repeat, image.frame));
+        }
+        self.keyframe_images.dedup_by_key(|image| image.frame);
         self
     }
 
-    /// Replaces keyframes that repeat the picture before them by the frame that they repeat.
-    pub(crate) fn replace_repeated_keyframes(&mut self, is_repeat: &[bool]) {
-        if !self.keyframes.iter().any(|frame| is_repeat.get(*frame) == Some(&true)) {
-            return;
+    /// Adds the last frame of other tracks where it is a keyframe, as the frame that it repeats.
+    pub(crate) fn add_last_keyframe(&mut self, other: &Self, repeated: usize) {
+        let is_keyframe = other.keyframes.last().is_some_and(|frame| frame + 1 == other.frames);
+        if is_keyframe && self.keyframes.last() != Some(&repeated) {
+            self.keyframes.push(repeated);
+            let image = other.keyframe_images.last();
+            self.keyframe_images
+                .extend(image.map(|image| KeyframeImage::of_frame(image, repeated)));
         }
-        self.keyframes.iter_mut().for_each(|frame| *frame = repeated_frame(is_repeat, *frame));
-        self.keyframes.dedup();
-        let images = &mut self.keyframe_images;
-        for image in images.iter_mut() {
-            let own = repeated_frame(is_repeat, image.frame);
-            if own != image.frame {
-                Arc::make_mut(image).frame = own;
-            }
-        }
-        images.dedup_by_key(|image| image.frame);
+    }
+
+    /// Makes the last keyframe a frame between keyframes.
+    pub(crate) fn drop_last_keyframe(&mut self) {
+        self.keyframes.pop();
+        self.keyframe_images.pop();
     }
 
     /// The tracks reduced to observations in keyframes.

@@ -106,6 +106,32 @@ fn frames_behind_a_covered_lens_are_lost_and_the_place_is_found_again() {
     }
 }
 
+/// The way back shows what the way there has shown: old landmarks are followed again, and stored
+/// keyframes cover the view.
+#[test]
+fn a_camera_that_goes_forth_and_back_needs_no_more_keyframes() {
+    let turn = 2 * FRAMES - 2;
+    let place = |i: usize| if i % turn < FRAMES { i % turn } else { turn - i % turn };
+    let path: Vec<Pose<f64>> = (0..3 * turn).map(|i| moving(place(i))).collect();
+    let found = updates(&path, true, |_| false);
+    let keyframes = |pass: usize| {
+        found[pass * turn..(pass + 1) * turn].iter().filter(|update| update.is_keyframe).count()
+    };
+    assert!(4 * keyframes(2) <= keyframes(0), "{} {}", keyframes(0), keyframes(2));
+    assert!(found.iter().all(|update| update.status == TrackingStatus::Tracked));
+    let error = online_error(&found[..FRAMES], &path[..FRAMES], true);
+    assert!(error < 0.01, "{error}");
+    let length = (path[0].inverse() * path[FRAMES - 1]).translation.norm();
+    let off = |update: &FrameUpdate| {
+        let (start, truth) = (path[0].inverse(), path[update.frame]);
+        let start_found = found[0].pose.expect("tracked").inverse();
+        let pose = update.pose.expect("tracked");
+        ((start_found * pose).translation - (start * truth).translation).norm() / length
+    };
+    let last = found[2 * turn..].iter().map(off).fold(0.0, f64::max);
+    assert!(last < 0.01, "{last}");
+}
+
 #[test]
 fn the_number_of_threads_changes_no_pose() {
     let with_threads = |count: usize| {
