@@ -62,7 +62,10 @@ pub(crate) fn calibrate_depth(state: &mut SfmState) -> bool {
     if state.is_unscaled {
         return false;
     }
-    let Some(best) = displacement_by_pictures(state) else { return false };
+    let found = displacements_by_pictures(state);
+    if found.is_empty() {
+        return false;
+    }
     // Landmarks that the pictures determine badly are off together, which a displacement may fit:
     // it must also suit landmarks that pictures and depth determine together.
     let none = adjusted_keyframes(state, Some([0.0; 3]));
@@ -72,9 +75,16 @@ pub(crate) fn calibrate_depth(state: &mut SfmState) -> bool {
     let joint_cost = |adjusted: &SfmState, d: &Displacement| {
         cost(state, &predictions(adjusted, state), d, SCALE_RATIO * usual)
     };
-    let with_best = adjusted_keyframes(state, Some(best));
-    let accepted = joint_cost(&with_best, &best) < MAX_COST_RATIO * joint_cost(&none, &[0.0; 3]);
-    let [right, down, delay] = if accepted { best } else { [0.0; 3] };
+    // Where the camera turns evenly, a delay and an offset look alike: each has to pay for itself.
+    let (mut least, mut chosen) = (joint_cost(&none, &[0.0; 3]), [0.0; 3]);
+    for displacement in found {
+        let adjusted = adjusted_keyframes(state, Some(displacement));
+        let now = joint_cost(&adjusted, &displacement);
+        if now < MAX_COST_RATIO * least {
+            (least, chosen) = (now, displacement);
+        }
+    }
+    let [right, down, delay] = chosen;
     let model = &mut state.depth_model;
     let changed = model.shift != [right, down] || model.delay != delay;
     (model.shift, model.delay) = ([right, down], delay);
@@ -84,22 +94,24 @@ pub(crate) fn calibrate_depth(state: &mut SfmState) -> bool {
     changed
 }
 
-/// The displacement that suits the landmarks of the pictures alone best; `None` with too few of
-/// them.
-fn displacement_by_pictures(state: &SfmState) -> Option<Displacement> {
-    let interval = median_frame_interval(&state.timestamps)?;
+/// The delay alone, the offset alone, and both together that suit the landmarks of the pictures
+/// alone best; none of them with too few landmarks.
+fn displacements_by_pictures(state: &SfmState) -> Vec<Displacement> {
+    let Some(interval) = median_frame_interval(&state.timestamps) else { return Vec::new() };
     let predictions = predictions(&adjusted_keyframes(state, None), state);
     if predictions.len() < MIN_OBSERVATIONS {
-        return None;
+        return Vec::new();
     }
-    let usual = usual_deviation(state, &predictions, &[0.0; 3])?;
+    let Some(usual) = usual_deviation(state, &predictions, &[0.0; 3]) else { return Vec::new() };
     let cost = |d: &Displacement| cost(state, &predictions, d, SCALE_RATIO * usual);
-    let step = FIRST_SHIFT * state.camera.width as f64;
-    search(&cost, [step, step, FIRST_DELAY * interval])
+    let (step, delay) = (FIRST_SHIFT * state.camera.width as f64, FIRST_DELAY * interval);
+    let steps = [[0.0, 0.0, delay], [step, step, 0.0], [step, step, delay]];
+    steps.into_iter().filter_map(|steps| search(&cost, steps)).collect()
 }
 
 /// The displacement of least cost: on a grid of offsets, then along each coordinate with steps
-/// that are halved. `None` at an end of the range: a cost that falls up to there has no minimum.
+/// that are halved; one with a step of zero stays. `None` at an end of the range: a cost that falls
+/// up to there has no minimum.
 fn search(cost: &impl Fn(&Displacement) -> f64, mut steps: Displacement) -> Option<Displacement> {
     let offsets = -COARSE_STEPS..=COARSE_STEPS;
     let grid = offsets.clone().flat_map(|i| offsets.clone().map(move |j| (i, j)));
@@ -108,11 +120,12 @@ fn search(cost: &impl Fn(&Displacement) -> f64, mut steps: Displacement) -> Opti
     let (mut least, mut best) =
         tried.min_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((f64::INFINITY, [0.0; 3]));
     let most = steps.map(|step| f64::from(COARSE_STEPS) * step);
+    let free: Vec<usize> = (0..3).filter(|axis| steps[*axis] > 0.0).collect();
     for _ in 0..HALVINGS {
         let mut moves = true;
         while moves {
             moves = false;
-            for (axis, side) in (0..3).flat_map(|axis| [(axis, -1.0), (axis, 1.0)]) {
+            for (axis, side) in free.iter().flat_map(|axis| [(*axis, -1.0), (*axis, 1.0)]) {
                 let mut next = best;
                 next[axis] += side * steps[axis];
                 next[axis] = next[axis].clamp(-most[axis], most[axis]);
@@ -124,7 +137,8 @@ fn search(cost: &impl Fn(&Displacement) -> f64, mut steps: Displacement) -> Opti
         }
         steps = steps.map(|step| 0.5 * step);
     }
-    best.iter().zip(most).all(|(found, most)| found.abs() < most).then_some(best)
+    let is_inside = |(found, most): (&f64, f64)| most == 0.0 || found.abs() < most;
+    best.iter().zip(most).all(is_inside).then_some(best)
 }
 
 /// The keyframes adjusted to their pictures, and to depth at a displacement if one is given.
@@ -177,7 +191,7 @@ fn usual_deviation(state: &SfmState, predictions: &[Prediction], d: &Displacemen
 fn ratio(state: &SfmState, p: &Prediction, [right, down, delay]: &Displacement) -> Option<f64> {
     let time = p.later + delay;
     let at = [p.at[0] + right + time * p.velocity[0], p.at[1] + down + time * p.velocity[1]];
-    let read = state.depth_maps.get(p.frame)?.as_ref()?.readings().inverse_at(at)?;
+    let read = state.depth_maps.get(p.frame)?.as_ref()?.inverse_at(at)?;
     Some((read - time * p.rate) / p.inverse)
 }
 
