@@ -19,7 +19,7 @@ use crate::rolling_shutter::readout::{
     median_frame_interval,
 };
 use crate::rolling_shutter::rolling_shutter_init::initialize_readout;
-use crate::sfm_state::SfmState;
+use crate::sfm_state::{MAX_READOUT, SfmState};
 use crate::track::tracker::{BACKWARD_FRAMES, Tracker};
 use crate::track::tracks::repeated_frame;
 use i2slam_compute::median;
@@ -249,26 +249,53 @@ impl OnlineMap {
             move_with_keyframes(&mut self.state, &before, &self.followers);
             return;
         }
+        let found = self.restarted(|state| {
+            let (camera, progress) = (state.camera, state.progress.clone());
+            state.readout = initialize_readout(&mut state.tracks, &camera, &timestamps, &progress);
+        });
+        if !self.is_started() {
+            // At the end of the range there is no minimum, and no map yet to tell.
+            if found.state.readout.abs() < MAX_READOUT {
+                *self = found;
+            }
+            return;
+        }
+        // A global shutter holds until another readout explains more.
+        let (now, then) = (self.state.readout, found.state.readout);
+        if then != 0.0 && then != now {
+            self.replace_if_better(found, (&timestamps, interval), MAX_COST_RATIO);
+        } else if then == 0.0 && now != 0.0 {
+            self.replace_if_better(found, (&timestamps, interval), MAX_COST_RATIO.recip());
+        }
+    }
+
+    /// A map of the same pictures that has not started, with all rows as seen and a readout that
+    /// `set_readout` finds.
+    fn restarted(&self, set_readout: impl FnOnce(&mut SfmState)) -> Self {
         let mut other = self.clone();
         other.recent_keyframes = RecentKeyframes::default();
         let state = &mut other.state;
         state.reset();
         state.relative_poses = Arc::default();
-        correct_observations(state, &timestamps, 0.0, interval);
-        state.readout =
-            initialize_readout(&mut state.tracks, &state.camera, &timestamps, &state.progress);
-        if state.readout == 0.0 {
-            return;
-        }
-        if !self.is_started() {
-            *self = other;
-            return;
-        }
+        let timestamps = Arc::clone(&state.timestamps);
+        correct_observations(state, &timestamps, 0.0, 1.0);
+        set_readout(state);
+        other
+    }
+
+    /// Starts another map of the same pictures, and takes it if it misfits less than this one by a
+    /// ratio.
+    fn replace_if_better(
+        &mut self,
+        mut other: Self,
+        (timestamps, interval): (&[f64], f64),
+        ratio: f64,
+    ) {
         other.start();
         if other.is_started() {
-            other.improve(&timestamps, interval);
-            self.improve(&timestamps, interval);
-            if other.misfit() < MAX_COST_RATIO * self.misfit() {
+            other.improve(timestamps, interval);
+            self.improve(timestamps, interval);
+            if other.misfit() < ratio * self.misfit() {
                 other.move_to_world_of(&self.state);
                 *self = other;
             }
