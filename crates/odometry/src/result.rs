@@ -92,6 +92,35 @@ impl Reconstruction {
         self
     }
 
+    /// Multiplies all lengths by a factor.
+    #[must_use]
+    pub fn scaled(mut self, factor: f64) -> Self {
+        let poses = self.poses.iter_mut().chain(&mut self.online_poses).flatten();
+        let keyframes = self.keyframes.iter_mut();
+        for pose in poses.chain(keyframes.map(|keyframe| &mut keyframe.world_from_camera)) {
+            pose.translation = pose.translation * factor;
+        }
+        for point in self.keyframes.iter_mut().flat_map(|k| &mut k.depths) {
+            (point.depth, point.variance) =
+                (point.depth * factor, point.variance * factor * factor);
+        }
+        self.deviations.iter_mut().flatten().for_each(|d| d.position *= factor);
+        self
+    }
+
+    /// Moves all poses to another world, `to_from_world`.
+    pub fn transform(&mut self, to_from_world: &Pose<f64>) {
+        let poses = self.poses.iter_mut().flatten();
+        let keyframes = self.keyframes.iter_mut().map(|k| &mut k.world_from_camera);
+        poses.chain(keyframes).for_each(|pose| *pose = *to_from_world * *pose);
+    }
+
+    /// Median depth of the landmarks of all keyframes.
+    pub fn median_depth(&self) -> Option<f64> {
+        let depths = self.keyframes.iter().flat_map(|k| k.depths.iter().map(|d| d.depth));
+        median(&mut depths.collect::<Vec<f64>>()).filter(|depth| *depth > 0.0)
+    }
+
     /// The camera of a frame as seen from where it was when a depth picture with this timestamp
     /// \[s\] was taken, at the velocity between the frames around it; the identity where that is not
     /// known.
@@ -134,24 +163,13 @@ pub(crate) fn build_reconstruction(
 ) -> Reconstruction {
     let posed = state.posed_frames();
     let world = posed.first().and_then(|f| state.poses[*f]).unwrap_or_else(Pose::identity);
-    let inverse = world.inverse();
-    let mut keyframes = keyframes_with_depth(&state, timestamps);
-    let mut depths: Vec<f64> =
-        keyframes.iter().flat_map(|k| k.depths.iter().map(|d| d.depth)).collect();
     let is_metric = state.is_metric();
-    let usual = median(&mut depths).filter(|m| *m > 0.0 && !is_metric);
-    let unit = usual.map_or(1.0, f64::recip);
-    let placed = |pose: Pose<f64>| {
-        let pose = inverse * pose;
-        Pose::new(pose.rotation, pose.translation * unit)
-    };
-    for keyframe in &mut keyframes {
-        keyframe.world_from_camera = placed(keyframe.world_from_camera);
-        for d in &mut keyframe.depths {
-            (d.depth, d.variance) = (d.depth * unit, d.variance * unit * unit);
-        }
-    }
-    let poses: Vec<_> = state.poses.iter().map(|pose| pose.map(placed)).collect();
+    let noise_scale = state.residual_scale().unwrap_or(1.0);
+    let mut keyframes =
+        keyframes_with_depth(&state, timestamps, &state.tracks.keyframes, noise_scale);
+    let inverse = world.inverse();
+    keyframes.iter_mut().for_each(|k| k.world_from_camera = inverse * k.world_from_camera);
+    let poses: Vec<_> = state.poses.iter().map(|pose| pose.map(|pose| inverse * pose)).collect();
     let mut warnings = Vec::new();
     let lost = poses.len() - posed.len();
     if lost > 0 {
@@ -169,14 +187,12 @@ pub(crate) fn build_reconstruction(
         }
     };
     warnings.extend(distortion_dropped.then_some(Warning::DistortionUndetermined));
-    let scaled = |d: PoseDeviation| PoseDeviation { position: unit * d.position, ..d };
     let (deviations, links) = pose_deviations(&state, is_repeat);
-    let deviations = deviations.into_iter().map(|d| d.map(scaled)).collect();
     warnings.extend(links.iter().map(|link| Warning::ScaleUncertain {
         frames: link.frames,
         percent: (100.0 * link.deviation).min(100.0),
     }));
-    Reconstruction {
+    let found = Reconstruction {
         camera: state.camera,
         distortion,
         focal_deviation,
@@ -188,6 +204,33 @@ pub(crate) fn build_reconstruction(
         depth_model: is_metric.then_some(state.depth_model),
         keyframes,
         warnings,
+    };
+    match found.median_depth().filter(|_| !is_metric) {
+        Some(unit) => found.scaled(unit.recip()),
+        None => found,
+    }
+}
+
+/// The path so far in its own world and unit of length, with the landmarks of one keyframe, given
+/// by its frame, or of none.
+pub(crate) fn reconstruction_so_far(state: &SfmState, keyframe: Option<usize>) -> Reconstruction {
+    let timestamps = &state.timestamps;
+    let readout = state.readout * median_frame_interval(timestamps).unwrap_or(0.0);
+    let keyframes = keyframe.map_or_else(Vec::new, |frame| {
+        keyframes_with_depth(state, timestamps, &[frame], state.noise_scale)
+    });
+    Reconstruction {
+        camera: state.camera,
+        distortion: None,
+        focal_deviation: None,
+        rolling_shutter_readout: readout,
+        poses: state.poses.clone(),
+        online_poses: Vec::new(),
+        deviations: vec![None; state.poses.len()],
+        timestamps: timestamps.to_vec(),
+        depth_model: state.is_metric().then(|| state.depth_model.clone()),
+        keyframes,
+        warnings: Vec::new(),
     }
 }
 
@@ -245,14 +288,19 @@ fn focal_deviation(
     Some(relative)
 }
 
-fn keyframes_with_depth(state: &SfmState, timestamps: &[f64]) -> Vec<Keyframe> {
-    let all = state.posed_frames();
-    let is_long = all.len() > MAX_JOINTLY_ADJUSTED_FRAMES;
+/// Those of `frames` that have a pose, with their landmarks, at residuals of `noise_scale` times
+/// the tracker's deviations.
+fn keyframes_with_depth(
+    state: &SfmState,
+    timestamps: &[f64],
+    frames: &[usize],
+    noise_scale: f64,
+) -> Vec<Keyframe> {
+    let is_long = state.posed_frames().len() > MAX_JOINTLY_ADJUSTED_FRAMES;
     let is_within = |f: usize| !is_long || state.tracks.keyframes.binary_search(&f).is_ok();
-    let (mut bundle, _, tracks) = state.bundle_within(&all, false, is_within);
+    let (mut bundle, _, tracks) = state.bundle_within(frames, false, is_within);
     // Poses stay, and take no room among the unknowns.
     bundle.fixed.fill(true);
-    let noise_scale = state.residual_scale().unwrap_or(1.0);
     // Variances are multiplied by the squared scale, which is for positions alone.
     bundle.scale_depth_deviations(state.noise_scale / noise_scale.max(f64::MIN_POSITIVE));
     let mut variances = vec![None; state.landmarks.len()];
@@ -278,7 +326,7 @@ fn keyframes_with_depth(state: &SfmState, timestamps: &[f64]) -> Vec<Keyframe> {
         let timestamp = timestamps[index];
         Some(Keyframe { index, timestamp, world_from_camera: pose, depths })
     };
-    state.tracks.keyframes.iter().filter_map(|f| keyframe(*f)).collect()
+    frames.iter().filter_map(|f| keyframe(*f)).collect()
 }
 
 /// Discards landmarks that are near only by chance: while a camera hardly moves, a point tracked a
@@ -340,7 +388,9 @@ mod tests {
             state.triangulate_missing();
             state.update_noise_scale();
             let timestamps: Vec<f64> = (0..8).map(f64::from).collect();
-            let keyframes = keyframes_with_depth(&state, &timestamps);
+            let scale = state.residual_scale().expect("residuals");
+            let keyframes =
+                keyframes_with_depth(&state, &timestamps, &state.tracks.keyframes, scale);
             let mut deviations: Vec<f64> =
                 keyframes[0].depths.iter().map(|d| inverse_depth(d).1).collect();
             let usual = median(&mut deviations).expect("landmarks");

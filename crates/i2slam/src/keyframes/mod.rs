@@ -1,5 +1,6 @@
 //! Sources of keyframes with poses: the monocular front end, and files of other programs.
 
+pub(crate) mod delivery;
 mod import;
 mod monocular;
 mod refined_import;

@@ -1,34 +1,23 @@
 //! Keyframes posed by the monocular front end, from pictures alone.
 
-use super::row_rectification::ReadoutMotion;
-use super::{EstimatedDepth, KeyframeSource, PictureError, PosedKeyframe};
+use super::delivery::{
+    MEDIAN_DEPTH, depth, into_estimated, keyframe_pictures, measured_depth, posed, posed_view,
+};
+use super::{KeyframeSource, PictureError, PosedKeyframe};
 use i2slam_compute::CancellationToken;
 use i2slam_dataset::Frame;
-use i2slam_geometry::{Camera, Image, Pose, StampedPose};
+use i2slam_geometry::{Camera, Pose, StampedPose};
 use i2slam_odometry::{
-    DenseDepth, DenseDepthEstimator, DepthPicture, FrontEnd, Keyframe, KeyframePictures,
-    MeasuredDepth, PoseDeviation, PosedView, Reconstruction,
+    DenseDepthEstimator, DepthPicture, FrameUpdate, FrontEnd, KeyframePictures, PoseDeviation,
+    Reconstruction,
 };
-use std::collections::{BTreeMap, VecDeque};
-use std::sync::Arc;
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use thiserror::Error;
 
 pub use i2slam_odometry::{
     Intrinsics, OdometryError, Progress as OdometryProgress,
     Reconstruction as OdometryReconstruction, Stage, Warning as OdometryWarning,
 };
-
-/// Median landmark depth in the delivered unit of length: that of a room in metres.
-const DELIVERED_MEDIAN_DEPTH: f64 = 2.0;
-
-/// Largest relative standard deviation of a delivered landmark depth.
-const MAX_DEVIATION: f64 = 0.3;
-
-/// Factor on delivered deviations: the few pixels with depth would outweigh the picture.
-const SPARSE_DEVIATION_FACTOR: f64 = 10.0;
-
-/// Least relative deviation of a delivered landmark depth: its own neglects errors of the poses.
-const MIN_DEVIATION: f64 = 0.1;
 
 /// Failure to find the camera path.
 #[derive(Debug, Error)]
@@ -49,7 +38,8 @@ fn first_refusal(refused: &[(usize, PictureError)]) -> String {
     })
 }
 
-/// Keyframes of pictures, posed by [`FrontEnd`]; the unit is half the median landmark depth.
+/// Keyframes of pictures, posed by [`FrontEnd`], in metres where depth was measured; else half the median
+/// landmark depth is the unit of length.
 pub struct MonocularSource<L> {
     reconstruction: Reconstruction,
     dense: Option<DenseDepthEstimator>,
@@ -59,7 +49,12 @@ pub struct MonocularSource<L> {
     refused: Vec<(usize, PictureError)>,
     next: usize,
     between: FramesBetween,
+    /// Frames that are not delivered.
+    left_out: BTreeSet<usize>,
 }
+
+/// Sees the front end after every picture that it accepted, with its position and the picture.
+pub(crate) type OnFrame<'a> = &'a mut dyn FnMut(&FrontEnd, &FrameUpdate, usize, Frame);
 
 /// Reads the picture at a position in the sequence.
 type BoxedLoader = Box<dyn FnMut(usize) -> Result<Frame, PictureError> + Send>;
@@ -82,8 +77,19 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
     pub fn find(
         intrinsics: Intrinsics,
         count: usize,
+        load: L,
+        progress: &OdometryProgress,
+    ) -> Result<Self, MonocularError> {
+        Self::find_watched(intrinsics, count, load, progress, &mut |_, _, _, _| {})
+    }
+
+    /// [`find`](Self::find) with a listener.
+    pub(crate) fn find_watched(
+        intrinsics: Intrinsics,
+        count: usize,
         mut load: L,
         progress: &OdometryProgress,
+        on_frame: OnFrame<'_>,
     ) -> Result<Self, MonocularError> {
         let mut front_end = FrontEnd::new(intrinsics);
         let (mut positions, mut refused, mut keyframes) = (Vec::new(), Vec::new(), 0);
@@ -93,14 +99,14 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
             }
             let pushed = load(position).and_then(|picture| {
                 let depth = depth_picture(&picture);
-                front_end
-                    .push(&picture.colour, picture.timestamp, depth.as_ref())
-                    .map_err(PictureError::from)
+                let update = front_end.push(&picture.colour, picture.timestamp, depth.as_ref())?;
+                Ok((update, picture))
             });
             match pushed {
-                Ok(update) => {
+                Ok((update, picture)) => {
                     positions.push(position);
                     keyframes += usize::from(update.is_keyframe);
+                    on_frame(&front_end, &update, position, picture);
                 }
                 Err(why) => refused.push((position, why)),
             }
@@ -112,10 +118,24 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
         };
         match found {
             Ok(reconstruction) => {
+                let reconstruction = match reconstruction.depth_model {
+                    Some(_) => reconstruction,
+                    None => reconstruction.scaled(MEDIAN_DEPTH),
+                };
                 let reader =
                     PictureReader::new(keyframe_positions(&reconstruction, &positions), load);
                 let (dense, next, between) = (None, 0, FramesBetween::default());
-                Ok(Self { reconstruction, dense, reader, positions, refused, next, between })
+                let left_out = BTreeSet::new();
+                Ok(Self {
+                    reconstruction,
+                    dense,
+                    reader,
+                    positions,
+                    refused,
+                    next,
+                    between,
+                    left_out,
+                })
             }
             Err(failure) => Err(MonocularError::NoPath { failure, refused }),
         }
@@ -128,20 +148,48 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
     where
         R: FnMut(usize) -> Result<Frame, PictureError>,
     {
-        let Self { reconstruction, dense, positions, refused, next, between, .. } = self;
+        let Self { reconstruction, dense, positions, refused, next, between, left_out, .. } = self;
         let reconstruction = reconstruction.resized(width, height);
         let reader = PictureReader::new(keyframe_positions(&reconstruction, &positions), load);
-        MonocularSource { reconstruction, dense, reader, positions, refused, next, between }
+        MonocularSource {
+            reconstruction,
+            dense,
+            reader,
+            positions,
+            refused,
+            next,
+            between,
+            left_out,
+        }
+    }
+
+    /// Replaces the path by the same one in another world or unit of length.
+    #[must_use]
+    pub(crate) fn with_reconstruction(self, reconstruction: Reconstruction) -> Self {
+        Self { reconstruction, ..self }
+    }
+
+    /// Leaves out frames of the reconstruction, which are in the map already.
+    #[must_use]
+    pub(crate) fn without_frames(mut self, frames: &BTreeSet<usize>) -> Self {
+        self.between.frames.retain(|frame| !frames.contains(frame));
+        self.left_out = frames.clone();
+        self.skip_left_out();
+        self
+    }
+
+    /// Goes on to the next keyframe that is to be delivered.
+    fn skip_left_out(&mut self) {
+        let keyframes = &self.reconstruction.keyframes;
+        while keyframes.get(self.next).is_some_and(|k| self.left_out.contains(&k.index)) {
+            self.next += 1;
+        }
     }
 
     /// Delivers dense depth instead of landmarks alone, until `cancellation` is cancelled.
     #[must_use]
     pub fn with_dense_depth(mut self, cancellation: CancellationToken) -> Self {
-        let view = |keyframe: &Keyframe| PosedView {
-            world_from_camera: keyframe.world_from_camera,
-            landmarks: keyframe.depths.iter().map(|d| d.depth).collect(),
-        };
-        let views = self.reconstruction.keyframes.iter().map(view).collect();
+        let views = self.reconstruction.keyframes.iter().map(posed_view).collect();
         self.dense = Some(
             DenseDepthEstimator::new(self.reconstruction.camera, views)
                 .with_depth_model(self.reconstruction.depth_model.clone())
@@ -164,7 +212,9 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
 
     /// Number of frames that are still to be delivered.
     pub fn remaining(&self) -> usize {
-        self.reconstruction.keyframes.len() - self.next + self.between.frames.len()
+        let coming = self.reconstruction.keyframes.iter().skip(self.next);
+        let keyframes = coming.filter(|k| !self.left_out.contains(&k.index)).count();
+        keyframes + self.between.frames.len()
     }
 
     /// Posed frames of the reconstruction that are no keyframes, in order.
@@ -182,19 +232,19 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
         let found = &self.reconstruction;
         let frames: Vec<(usize, Pose<f64>)> = self
             .frames_between()
-            .filter_map(|frame| Some((*self.positions.get(frame)?, pose_of(found, frame)?)))
+            .filter_map(|frame| Some((*self.positions.get(frame)?, found.poses[frame]?)))
             .collect();
         frames.into_iter().map(move |(position, world_from_camera)| {
             Ok(PosedKeyframe::from_frame(load(position)?, world_from_camera))
         })
     }
 
-    /// All posed frames in order: position, time stamp [s], pose in the delivered unit.
+    /// All posed frames in order: position, time stamp [s], pose.
     pub fn trajectory(&self) -> Vec<(usize, f64, Pose<f64>)> {
         let found = &self.reconstruction;
         let posed = |frame: usize| {
             let (position, stamp) = (*self.positions.get(frame)?, *found.timestamps.get(frame)?);
-            Some((position, stamp, pose_of(found, frame)?))
+            Some((position, stamp, found.poses[frame]?))
         };
         (0..found.poses.len()).filter_map(posed).collect()
     }
@@ -209,16 +259,13 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
         path
     }
 
-    /// Deviations of poses: position in the sequence, deviation in the delivered unit.
+    /// Deviations of poses, by position in the sequence.
     pub fn deviations(&self) -> impl Iterator<Item = (usize, PoseDeviation)> {
-        let unit = unit(&self.reconstruction);
-        self.positions.iter().zip(&self.reconstruction.deviations).filter_map(move |(place, d)| {
-            let deviation = (*d)?;
-            Some((*place, PoseDeviation { position: unit * deviation.position, ..deviation }))
-        })
+        let deviations = self.positions.iter().zip(&self.reconstruction.deviations);
+        deviations.filter_map(|(place, deviation)| Some((*place, (*deviation)?)))
     }
 
-    /// The reconstruction of the front end, in its own unit of length.
+    /// The reconstruction of the front end.
     pub fn reconstruction(&self) -> &Reconstruction {
         &self.reconstruction
     }
@@ -256,18 +303,20 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> KeyframeSource for Monocula
 impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
     /// The next keyframe.
     fn keyframe(&mut self) -> Option<Result<PosedKeyframe, PictureError>> {
-        let (number, found) = (self.next, &self.reconstruction);
-        let keyframe = found.keyframes.get(number)?;
+        let number = self.next;
         self.next += 1;
+        self.skip_left_out();
+        let found = &self.reconstruction;
+        let keyframe = found.keyframes.get(number)?;
         let frame = match self.reader.next(number) {
             Ok(picture) => picture,
             Err(why) => return Some(Err(why)),
         };
         let dense = self.dense.as_mut().and_then(|dense| {
-            dense.estimate(number, &mut |k| keyframe_pictures(found, &mut self.reader, k))
+            dense.estimate(number, &mut |k| pictures_of(found, &mut self.reader, k))
         });
         let size = (frame.colour.width, frame.colour.height);
-        let depth = Some(depth(dense, keyframe, size, unit(found)));
+        let depth = Some(depth(dense, keyframe, size));
         let posed = posed(found, keyframe.index, frame, keyframe.world_from_camera);
         Some(Ok(PosedKeyframe { depth, ..posed }))
     }
@@ -285,45 +334,23 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
         let measured = measured_depth(found, index, &frame);
         let near = self.next.min(found.keyframes.len().saturating_sub(1));
         let depth = self.dense.as_mut().zip(measured).and_then(|(dense, measured)| {
-            let mut pictures = |k: usize| keyframe_pictures(found, &mut self.reader, k);
+            let mut pictures = |k: usize| pictures_of(found, &mut self.reader, k);
             dense.fuse(pose, near, &measured, &mut pictures)
         });
-        let depth = depth.map(|depth| dense_depth(depth, unit(found)));
+        let depth = depth.map(into_estimated);
         let posed = posed(found, index, frame, pose);
         Ok(PosedKeyframe { depth, is_keyframe: false, ..posed })
     }
 }
 
-/// A frame of the reconstruction with its neighbours, in the delivered unit of length.
-fn posed(found: &Reconstruction, index: usize, frame: Frame, pose: Pose<f64>) -> PosedKeyframe {
-    PosedKeyframe {
-        timestamp: found.timestamps[index],
-        before: index.checked_sub(1).and_then(|index| stamped(found, index)),
-        after: stamped(found, index + 1),
-        ..PosedKeyframe::from_frame(frame, scaled(pose, unit(found)))
-    }
-}
-
-/// Pictures of a keyframe for its dense depth, all rows exposed with the middle one.
-fn keyframe_pictures<L: FnMut(usize) -> Result<Frame, PictureError>>(
+/// Pictures of the keyframe with a number for its dense depth.
+fn pictures_of<L: FnMut(usize) -> Result<Frame, PictureError>>(
     found: &Reconstruction,
     reader: &mut PictureReader<L>,
     number: usize,
 ) -> Option<KeyframePictures> {
     let (frame, keyframe) = (reader.picture(number)?, found.keyframes.get(number)?);
-    let colour = match ReadoutMotion::of_keyframe(found, keyframe) {
-        Some(motion) => Arc::new(motion.rectified(&found.camera, &frame.colour)),
-        None => Arc::clone(&frame.colour),
-    };
-    Some(KeyframePictures { colour, depth: measured_depth(found, keyframe.index, frame) })
-}
-
-/// Measured depth of a frame of the reconstruction.
-fn measured_depth(found: &Reconstruction, index: usize, frame: &Frame) -> Option<MeasuredDepth> {
-    frame.depth.as_ref().map(|measured| MeasuredDepth {
-        depth: Arc::clone(&measured.image),
-        depth_from_colour: found.depth_from_colour(index, measured.timestamp),
-    })
+    Some(keyframe_pictures(found, keyframe, frame))
 }
 
 /// Measured depth of a frame, if there is any.
@@ -334,76 +361,6 @@ fn depth_picture(frame: &Frame) -> Option<DepthPicture<'_>> {
 
 fn keyframe_positions(found: &Reconstruction, positions: &[usize]) -> Vec<usize> {
     found.keyframes.iter().filter_map(|keyframe| positions.get(keyframe.index).copied()).collect()
-}
-
-/// The front end's unit of length in the delivered one: metres stay.
-fn unit(found: &Reconstruction) -> f64 {
-    if found.depth_model.is_some() { 1.0 } else { DELIVERED_MEDIAN_DEPTH }
-}
-
-/// A pose in the delivered unit of length.
-fn scaled(pose: Pose<f64>, unit: f64) -> Pose<f64> {
-    Pose { translation: pose.translation * unit, ..pose }
-}
-
-/// Pose of a frame in the delivered unit; `None` if lost.
-fn pose_of(found: &Reconstruction, frame: usize) -> Option<Pose<f64>> {
-    found.poses.get(frame)?.map(|pose| scaled(pose, unit(found)))
-}
-
-/// Time stamp and pose of a frame.
-fn stamped(found: &Reconstruction, frame: usize) -> Option<(f64, Pose<f64>)> {
-    Some((*found.timestamps.get(frame)?, pose_of(found, frame)?))
-}
-
-/// Dense depth of a keyframe, or landmarks completed by it where it covers at most half the picture.
-fn depth(
-    dense: Option<DenseDepth>,
-    keyframe: &Keyframe,
-    (width, height): (usize, usize),
-    unit: f64,
-) -> EstimatedDepth {
-    let mut out = sparse_depth(keyframe, (width, height), unit);
-    let Some(dense) = dense.map(|dense| dense_depth(dense, unit)) else { return out };
-    if 2 * dense.depth.data.iter().filter(|z| **z > 0.0).count() > width * height {
-        return dense;
-    }
-    for (pixel, z) in dense.depth.data.iter().enumerate().filter(|(_, z)| **z > 0.0) {
-        out.depth.data[pixel] = *z;
-        if let (Some(to), Some(from)) = (&mut out.variance, &dense.variance) {
-            to.data[pixel] = from.data[pixel];
-        }
-    }
-    out
-}
-
-/// Dense depth in the delivered unit of length.
-fn dense_depth(found: DenseDepth, unit: f64) -> EstimatedDepth {
-    let DenseDepth { mut depth, mut variance } = found;
-    let scale = unit as f32;
-    depth.data.iter_mut().for_each(|d| *d *= scale);
-    variance.data.iter_mut().for_each(|v| *v *= scale * scale);
-    EstimatedDepth { depth, variance: Some(variance) }
-}
-
-/// Landmark depths of a keyframe as images, zero elsewhere; the nearest landmark per pixel.
-fn sparse_depth(keyframe: &Keyframe, (width, height): (usize, usize), unit: f64) -> EstimatedDepth {
-    let (mut depth, mut variance) = (Image::new(width, height, 1), Image::new(width, height, 1));
-    for point in &keyframe.depths {
-        let [u, v] = point.at;
-        let inside = u >= 0.0 && v >= 0.0 && u < width as f64 && v < height as f64;
-        if inside && point.variance.sqrt() <= MAX_DEVIATION * point.depth {
-            let pixel = v as usize * width + u as usize;
-            let (here, known) = ((unit * point.depth) as f32, depth.data[pixel]);
-            if known > 0.0 && known <= here {
-                continue;
-            }
-            depth.data[pixel] = here;
-            let deviation = point.variance.sqrt().hypot(MIN_DEVIATION * point.depth);
-            variance.data[pixel] = (SPARSE_DEVIATION_FACTOR * unit * deviation).powi(2) as f32;
-        }
-    }
-    EstimatedDepth { depth, variance: Some(variance) }
 }
 
 /// Keyframes whose pictures stay cached for later ones: the reach of dense depth.

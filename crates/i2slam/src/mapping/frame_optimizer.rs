@@ -24,6 +24,7 @@ pub(super) fn adam() -> Adam {
 #[derive(Default)]
 pub(super) struct FrameOptimizers {
     responses: BTreeMap<usize, Vec<Adam>>,
+    /// By the index of the frame.
     frames: BTreeMap<usize, FrameOptimizer>,
 }
 
@@ -92,14 +93,13 @@ impl FrameOptimizers {
         let model = context.config.formation.white_balance;
         model.project_gradient(&mut d_tone.log_white_balance);
         let gradient = d_tone.to_array();
-        let tone = &mut context.frames[frame].tone;
-        let mut values = tone.to_array();
+        let mut values = context.frames[frame].tone.to_array();
         let rates = &context.config.parameters.frames;
-        let optimizer = self.frame(frame);
+        let optimizer = self.frame(context.frames[frame].index);
         let (exposure, balance) = values.split_at_mut(1);
         optimizer.exposure.step(exposure, &gradient[..1], rates.exposure_rate);
         optimizer.white_balance.step(balance, &gradient[1..], rates.white_balance_rate);
-        *tone = FrameTone::from_array(values);
+        context.frames[frame].tone = FrameTone::from_array(values);
     }
 
     /// One step on every response of a batch.

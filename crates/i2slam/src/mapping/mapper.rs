@@ -9,7 +9,7 @@ use i2slam_formation::{CameraResponse, TrajectoryScale};
 use i2slam_geometry::{Image, Pose};
 use i2slam_radiance::hashgrid::SettingsError;
 use i2slam_radiance::{RadianceMap, Render};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -66,6 +66,9 @@ pub(crate) trait Mapper: Send {
     /// Adapts the map to corrected poses. `motions` are those of frames in the world, by their index,
     /// where the map has to move along; none where poses were refined in the map itself.
     fn correct(&mut self, _context: &MappingContext<'_>, _motions: &BTreeMap<usize, Pose<f64>>) {}
+
+    /// Removes what frames with these indices brought into the map, where that is known.
+    fn forget(&mut self, _frames: &BTreeSet<usize>) {}
 
     fn map(&self) -> Map;
 }

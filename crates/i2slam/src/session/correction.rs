@@ -2,7 +2,7 @@
 
 use super::Session;
 use i2slam_geometry::Pose;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 impl Session {
     /// Corrects poses `world_from_camera` at mid-exposure by the index of their frames, in the world
@@ -33,5 +33,19 @@ impl Session {
             let (mapper, _, context) = self.mapping();
             mapper.correct(&context, &motions);
         }
+    }
+
+    /// Removes frames, by their index, and what they brought into a map of Gaussians, so that they may
+    /// be added again with another readout or depth.
+    pub(super) fn forget(&mut self, frames: &BTreeSet<usize>) {
+        self.mapper.forget(frames);
+        let is_kept: Vec<bool> =
+            self.state.frames.iter().map(|frame| !frames.contains(&frame.index)).collect();
+        let keyframes = &mut self.state.keyframes;
+        keyframes.retain(|keyframe| is_kept[keyframe.frame]);
+        for keyframe in keyframes {
+            keyframe.frame = is_kept[..keyframe.frame].iter().filter(|kept| **kept).count();
+        }
+        self.state.frames.retain(|frame| !frames.contains(&frame.index));
     }
 }

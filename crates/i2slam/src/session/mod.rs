@@ -3,12 +3,15 @@
 mod correction;
 mod error;
 mod frame_tracker;
+mod online;
 mod posed;
 mod runtime_estimate;
 mod state;
 mod tracked;
 
 pub use error::SessionError;
+pub(crate) use online::{MappedFrames, OnlineMapping};
+pub use online::{OnlineSession, OnlineUpdate};
 pub use runtime_estimate::RuntimeEstimate;
 
 use crate::config::{Config, MapKind, MappingConfig};
@@ -16,6 +19,7 @@ use crate::mapping::{
     FieldMapper, GaussianMapper, Growth, JointFieldMapper, Keyframe, Mapper, MappingContext,
 };
 use crate::reconstruction::{FrameEstimate, Reconstruction};
+use crate::tracking::SequenceReadout;
 use crate::warning::Warning;
 use frame_tracker::FrameTracker;
 use i2slam_compute::CancellationToken;
@@ -41,6 +45,8 @@ pub struct Session {
     tracker: FrameTracker,
     /// Poses as they came; `None` where frames are tracked and their poses stay.
     source: Option<SourcePoses>,
+    /// Whether a setting gives the readout of a rolling shutter, or asks for it.
+    is_readout_given: bool,
     /// Whether a frame without a depth picture was warned of.
     is_missing_depth_told: bool,
     failure: Option<SettingsError>,
@@ -79,6 +85,7 @@ impl Session {
             state: SessionState::new(&config),
             tracker: FrameTracker::new(frame_rate, &config.input),
             source: None,
+            is_readout_given: config.input.is_rolling(),
             is_missing_depth_told: false,
             failure: None,
             config,
@@ -120,6 +127,21 @@ impl Session {
     /// Whether the `number`-th frame or keyframe, from 0, is held out (`mapping.hold_out`).
     pub fn holds_out(&self, number: usize) -> bool {
         self.config.mapping.holds_out(number)
+    }
+
+    /// Sets the readout that the source of the poses has found [s], unless a setting gives it.
+    pub(crate) fn set_found_readout(&mut self, seconds: f64) {
+        if !self.is_readout_given {
+            self.config.input.rolling_shutter_readout = 0.0;
+            self.config = self.config.clone().with_found_readout(seconds);
+            self.tracker.readout = SequenceReadout::new(&self.config.input);
+        }
+    }
+
+    /// Shares the steps that a configuration gives `keyframes` among `count` frames.
+    pub(crate) fn share_steps(&mut self, config: &Config, keyframes: usize, count: usize) {
+        let steps = config.mapping.iterations * keyframes;
+        self.config.mapping.iterations = steps.div_ceil(count.max(1));
     }
 
     /// Settings of mapping.

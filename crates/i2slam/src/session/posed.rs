@@ -41,6 +41,11 @@ impl SourcePoses {
 }
 
 impl Session {
+    /// Keeps the world that keyframes come in, instead of that of the first one's camera.
+    pub(super) fn keep_world(&mut self) {
+        self.source.get_or_insert_default().world_from_source = Some(Pose::identity());
+    }
+
     /// Adds one keyframe, or a frame between keyframes, and refines map, poses and tone for some
     /// steps.
     ///
@@ -60,10 +65,10 @@ impl Session {
         let adjacent = AdjacentFrames { before, after };
         let is_keyframe = keyframe.is_keyframe;
         let (mut estimate, observation) = self.initial_estimate(keyframe, adjacent);
-        let position = self.state.frames.len();
+        let position = self.state.frames.partition_point(|f| f.index <= estimate.index);
         let maps = estimate.keyframe;
         estimate.keyframe &= is_keyframe;
-        self.state.frames.push(estimate);
+        self.insert(position, estimate);
         if position == 1 {
             self.initialize_first_exposure();
         }
@@ -89,7 +94,9 @@ impl Session {
             self.state.frames[position] = estimate;
         }
         if self.state.frames[position].keyframe {
-            self.state.keyframes.push(keyframe.clone());
+            let keyframes = &mut self.state.keyframes;
+            let place = keyframes.partition_point(|k| k.frame < position);
+            keyframes.insert(place, keyframe.clone());
         }
         self.map(&keyframe)?;
         self.state.frames[position].gaussians = self.mapper.gaussians();

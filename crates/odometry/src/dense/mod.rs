@@ -113,6 +113,20 @@ impl DenseDepthEstimator {
         Self { depth_model: model, ..self }
     }
 
+    /// Adds a keyframe after the others, for use while they are taken. `depth_model` is that of the
+    /// sensor as known now, which readings from now on get their deviations from.
+    pub fn add_view(&mut self, view: PosedView, depth_model: Option<DepthModel>) {
+        self.views.push(view);
+        self.depth_model = depth_model;
+    }
+
+    /// Corrects the pose of a keyframe; its depth as estimated stays, in its camera.
+    pub fn set_pose(&mut self, index: usize, world_from_camera: Pose<f64>) {
+        if let Some(view) = self.views.get_mut(index) {
+            view.world_from_camera = world_from_camera;
+        }
+    }
+
     /// Returns `None` from every estimate once `cancellation` is cancelled.
     #[must_use]
     pub fn with_cancellation(self, cancellation: CancellationToken) -> Self {

@@ -1,5 +1,6 @@
 use super::*;
 use i2slam_dataset::DepthPicture;
+use i2slam_geometry::Image;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -196,21 +197,6 @@ fn cancellation_ends_the_search() {
         Some(MonocularError::NoPath { failure: OdometryError::Cancelled, .. })
     ));
     assert_eq!(asked.load(Ordering::SeqCst), 12);
-}
-
-#[test]
-fn the_nearest_landmark_of_a_pixel_is_delivered() {
-    let point = |depth: f64| i2slam_odometry::SparseDepth { at: [2.5, 1.5], depth, variance: 1e-6 };
-    for depths in [[1.0, 2.0], [2.0, 1.0]] {
-        let keyframe = Keyframe {
-            index: 0,
-            timestamp: 0.0,
-            world_from_camera: Pose::identity(),
-            depths: depths.map(point).to_vec(),
-        };
-        let depth = sparse_depth(&keyframe, (4, 3), DELIVERED_MEDIAN_DEPTH).depth;
-        assert_eq!(depth.at(0, 2, 1), DELIVERED_MEDIAN_DEPTH as f32);
-    }
 }
 
 #[test]

@@ -3,7 +3,7 @@
 use super::optimizer::GaussianOptimizer;
 use i2slam_geometry::{Pose, Rotation, Vec3};
 use i2slam_radiance::gaussian::GaussianMap;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Index of the frame that brought each Gaussian of a map.
 #[derive(Clone, Debug, Default)]
@@ -19,6 +19,11 @@ impl Anchors {
     pub(super) fn retain(&mut self, keep: &[bool]) {
         let mut kept = keep.iter();
         self.0.retain(|_| kept.next().is_some_and(|&kept| kept));
+    }
+
+    /// Whether each Gaussian was brought by another frame than these.
+    pub(super) fn outside(&self, frames: &BTreeSet<usize>) -> Vec<bool> {
+        self.0.iter().map(|frame| !frames.contains(frame)).collect()
     }
 
     /// Moves every Gaussian by the motion of its frame in the world, with the moments of its
@@ -70,6 +75,7 @@ mod tests {
         let mut anchors = Anchors::default();
         anchors.extend_to(1, 4);
         anchors.extend_to(3, 7);
+        assert_eq!(anchors.outside(&BTreeSet::from([4, 9])), [false, true, true]);
         anchors.retain(&[true, false, true]);
         map.retain(&[true, false, true]);
         let before = map.clone();

@@ -24,7 +24,7 @@ use i2slam_radiance::gaussian::{ColourActivation, GaussianMap, RasterSettings, S
 use i2slam_radiance::hashgrid::SettingsError;
 use merge::merge;
 use optimizer::GaussianOptimizer;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -248,6 +248,14 @@ impl Mapper for GaussianMapper {
 
     fn correct(&mut self, _context: &MappingContext<'_>, motions: &BTreeMap<usize, Pose<f64>>) {
         self.anchors.apply_motions(motions, &mut self.current.map, &mut self.optimizer);
+    }
+
+    fn forget(&mut self, frames: &BTreeSet<usize>) {
+        let keep = self.anchors.outside(frames);
+        if keep.contains(&false) {
+            self.current.map.retain(&keep);
+            self.retain(&keep);
+        }
     }
 
     fn map(&self) -> Map {

@@ -1,0 +1,342 @@
+//! Frames on their way from the front end to the map.
+
+use super::super::{Session, SessionError};
+use super::queue::{BetweenJob, Job, KeyframeJob, MappingQueue};
+use crate::config::{MapKind, MappingConfig};
+use crate::keyframes::PosedKeyframe;
+use crate::keyframes::delivery::{MEDIAN_DEPTH, keyframe_pictures, measured_depth, posed};
+use i2slam_dataset::Frame;
+use i2slam_geometry::Pose;
+use i2slam_odometry::{FrameUpdate, FrontEnd, Reconstruction};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::sync::MutexGuard;
+
+/// Frames that wait for a map to start, at most: older ones are mapped at the end.
+const MAX_WAITING: usize = 64;
+/// Displacement of the pixels of a frame beyond which it is mapped anew [px].
+const MAX_DISPLACEMENT: f64 = 1.0;
+
+/// Maps the frames of a front end when their neighbours are known, and lets the map follow the
+/// corrections of their poses.
+///
+/// A frame is mapped when the frame after it has come: its motion is known then, and the landmarks
+/// of a keyframe. What is sent to the map, and in which order, depends on the frames alone, so that
+/// the map does not depend on when its thread works.
+pub(crate) struct OnlineMapping {
+    queue: MappingQueue,
+    /// Width and height of the pictures that are mapped [px].
+    size: (usize, usize),
+    /// Whether frames between keyframes are mapped, too, where depth is measured.
+    maps_between: bool,
+    /// Steps for a keyframe, which the frames between keyframes share, and what is held out.
+    mapping: MappingConfig,
+    waiting: VecDeque<WaitingFrame>,
+    gauge: Option<Gauge>,
+    /// Every frame in the map, by its number in the front end.
+    sent: BTreeMap<usize, SentFrame>,
+    keyframes: usize,
+    /// Frames and keyframes so far that could be mapped.
+    items: usize,
+    /// Indices of those that were kept from the map.
+    held_out: BTreeSet<usize>,
+}
+
+/// What online mapping made.
+pub(crate) struct MappedFrames {
+    pub(crate) session: Session,
+    /// Numbers in the front end of the frames in the map.
+    pub(crate) mapped: BTreeSet<usize>,
+    /// Those of them that are to be mapped anew, with their indices.
+    outdated: BTreeMap<usize, usize>,
+    /// Indices of frames that were kept from the map to test it.
+    pub(crate) held_out: BTreeSet<usize>,
+    /// Frames that could be mapped, those held out included.
+    pub(crate) items: usize,
+    /// Errors of frames that could not be used.
+    pub(crate) errors: Vec<SessionError>,
+}
+
+impl MappedFrames {
+    /// A session without a frame.
+    pub(crate) fn none(session: Session) -> Self {
+        Self {
+            session,
+            mapped: BTreeSet::new(),
+            outdated: BTreeMap::new(),
+            held_out: BTreeSet::new(),
+            items: 0,
+            errors: Vec::new(),
+        }
+    }
+
+    /// Takes frames out of the map that are to be mapped anew.
+    #[must_use]
+    pub(crate) fn without_outdated(mut self) -> Self {
+        let outdated = std::mem::take(&mut self.outdated);
+        self.mapped.retain(|number| !outdated.contains_key(number));
+        self.items -= outdated.len();
+        self.session.forget(&outdated.into_values().collect());
+        self
+    }
+}
+
+/// A frame in the map.
+struct SentFrame {
+    index: usize,
+    /// As last sent.
+    pose: Pose<f64>,
+    /// Readout [s], offset [px] and delay [s] of depth that it was mapped with.
+    readout: f64,
+    shift: [f64; 2],
+    delay: f64,
+}
+
+struct WaitingFrame {
+    /// In the front end.
+    number: usize,
+    picture: Frame,
+    is_keyframe: bool,
+}
+
+/// World and unit of length of the map in those of the front end.
+#[derive(Clone, Copy)]
+struct Gauge {
+    world: Pose<f64>,
+    scale: f64,
+    is_metric: bool,
+}
+
+impl Gauge {
+    /// The camera of a frame as the world; without depth the median depth of its landmarks gives the
+    /// unit.
+    fn at_keyframe(found: &Reconstruction, frame: usize) -> Option<Self> {
+        let pose = found.poses[frame]?;
+        let is_metric = found.depth_model.is_some();
+        let scale = if is_metric { 1.0 } else { MEDIAN_DEPTH / found.median_depth()? };
+        let world = Pose { translation: pose.translation * scale, ..pose }.inverse();
+        Some(Self { world, scale, is_metric })
+    }
+
+    fn place(&self, mut found: Reconstruction) -> Reconstruction {
+        found = found.scaled(self.scale);
+        found.transform(&self.world);
+        found
+    }
+}
+
+impl OnlineMapping {
+    /// Maps with a session on keyframes with poses.
+    pub(crate) fn new(mut session: Session) -> Self {
+        session.keep_world();
+        let (width, height) = (session.camera.width, session.camera.height);
+        Self {
+            size: (width, height),
+            maps_between: session.config.map.kind == MapKind::Gaussian,
+            mapping: session.config.mapping.clone(),
+            queue: MappingQueue::new(session),
+            waiting: VecDeque::new(),
+            gauge: None,
+            sent: BTreeMap::new(),
+            keyframes: 0,
+            items: 0,
+            held_out: BTreeSet::new(),
+        }
+    }
+
+    /// The session between two frames.
+    pub(crate) fn session(&self) -> MutexGuard<'_, Session> {
+        self.queue.session()
+    }
+
+    /// Takes the last frame of the front end, whose picture has the size of those that are mapped.
+    /// Returns the poses that changed since the last call, by the index of their frames.
+    pub(crate) fn add_frame(
+        &mut self,
+        front_end: &FrontEnd,
+        update: &FrameUpdate,
+        picture: Frame,
+    ) -> BTreeMap<usize, Pose<f64>> {
+        let is_keyframe = update.is_keyframe;
+        self.waiting.push_back(WaitingFrame { number: update.frame, picture, is_keyframe });
+        if self.gauge.is_none() {
+            self.gauge = self.first_gauge(front_end);
+        }
+        let Some(gauge) = self.gauge else {
+            self.forget_waiting();
+            return BTreeMap::new();
+        };
+        let found = gauge.place(front_end.path_so_far(None));
+        let corrections = self.corrections(&found);
+        if !corrections.is_empty() {
+            self.queue.send(Job::Correct(corrections.clone()));
+        }
+        // A map that gets its unit of length later is made at the end.
+        if found.depth_model.is_some() != gauge.is_metric {
+            self.waiting.clear();
+            return corrections;
+        }
+        while self.waiting.front().is_some_and(|first| first.number < update.frame) {
+            let Some(frame) = self.waiting.pop_front() else { break };
+            self.send(front_end, &found, frame);
+        }
+        corrections
+    }
+
+    /// The gauge from the first keyframe that waits and has a pose.
+    fn first_gauge(&self, front_end: &FrontEnd) -> Option<Gauge> {
+        let path = front_end.path_so_far(None);
+        let is_posed = |f: &&WaitingFrame| f.is_keyframe && path.poses[f.number].is_some();
+        let first = self.waiting.iter().find(is_posed)?.number;
+        Gauge::at_keyframe(&front_end.path_so_far(Some(first)), first)
+    }
+
+    /// Bounds the frames that wait for a start: those between keyframes go first.
+    fn forget_waiting(&mut self) {
+        while self.waiting.len() > MAX_WAITING {
+            let between = self.waiting.iter().position(|frame| !frame.is_keyframe);
+            self.waiting.remove(between.unwrap_or(0));
+        }
+    }
+
+    /// Poses of frames in the map that differ from what was sent.
+    fn corrections(&mut self, found: &Reconstruction) -> BTreeMap<usize, Pose<f64>> {
+        let mut out = BTreeMap::new();
+        for (number, sent) in &mut self.sent {
+            let Some(now) = found.poses[*number].filter(|now| *now != sent.pose) else { continue };
+            sent.pose = now;
+            out.insert(sent.index, now);
+        }
+        out
+    }
+
+    /// Sends a frame to the map, if it has a pose, and something to map.
+    fn send(&mut self, front_end: &FrontEnd, path: &Reconstruction, frame: WaitingFrame) {
+        let (Some(gauge), Some(pose)) = (self.gauge, path.poses[frame.number]) else { return };
+        let WaitingFrame { number, picture, is_keyframe } = frame;
+        let index = picture.index;
+        let is_mapped = is_keyframe || (gauge.is_metric && self.maps_between);
+        if !is_mapped {
+            return;
+        }
+        self.keyframes += usize::from(is_keyframe);
+        self.items += 1;
+        if self.mapping.holds_out(self.items - 1) {
+            self.held_out.insert(index);
+            return;
+        }
+        let readout = path.rolling_shutter_readout;
+        let steps = self.steps_of_frame(number);
+        let job = if is_keyframe {
+            let found = gauge.place(front_end.path_so_far(Some(number)));
+            let found = found.resized(self.size.0, self.size.1);
+            let Some(keyframe) = found.keyframes.first().cloned() else { return };
+            Job::Keyframe(Box::new(KeyframeJob {
+                pictures: keyframe_pictures(&found, &keyframe, &picture),
+                posed: posed(&found, number, picture, pose),
+                depth_model: found.depth_model.clone(),
+                readout,
+                steps,
+                keyframe,
+            }))
+        } else {
+            let Some(measured) = measured_depth(path, number, &picture) else { return };
+            let posed = posed(path, number, picture, pose);
+            let posed = PosedKeyframe { is_keyframe: false, ..posed };
+            Job::Between(Box::new(BetweenJob { posed, measured, readout, steps }))
+        };
+        let (shift, delay) = offset(path, self.size);
+        self.sent.insert(number, SentFrame { index, pose, readout, shift, delay });
+        self.queue.send(job);
+    }
+
+    /// Steps for a frame, where those between keyframes share the steps of their keyframe.
+    fn steps_of_frame(&self, number: usize) -> usize {
+        match self.maps_between && self.gauge.is_some_and(|gauge| gauge.is_metric) {
+            true => (self.mapping.iterations * self.keyframes).div_ceil(number + 1),
+            false => self.mapping.iterations,
+        }
+    }
+
+    /// A pose of the front end in the world of the map, once there is one.
+    pub(crate) fn placed(&self, pose: Pose<f64>) -> Option<Pose<f64>> {
+        let gauge = self.gauge?;
+        Some(gauge.world * Pose { translation: pose.translation * gauge.scale, ..pose })
+    }
+
+    /// Waits until all frames are mapped, and corrects the map to the final path, which is returned
+    /// in the world of the map.
+    pub(crate) fn finish(self, found: Reconstruction) -> (MappedFrames, Reconstruction) {
+        let found = self.placed_at_the_end(found);
+        let outdated = self.outdated(&found);
+        let pose_of = |number: &usize| found.poses.get(*number).copied().flatten();
+        let poses = self.sent.iter().filter_map(|(n, sent)| Some((sent.index, pose_of(n)?)));
+        self.queue.send(Job::Correct(poses.collect()));
+        let Self { queue, sent, held_out, items, .. } = self;
+        let (session, errors) = queue.finish();
+        let mapped = sent.into_keys().collect();
+        (MappedFrames { session, mapped, outdated, held_out, items, errors }, found)
+    }
+
+    /// Frames that were mapped with pixels off by more than one, by readout and registration of
+    /// depth as found in the end: number in the front end and index.
+    fn outdated(&self, found: &Reconstruction) -> BTreeMap<usize, usize> {
+        let (shift, delay) = offset(found, self.size);
+        let is_off = |(number, sent): &(&usize, &SentFrame)| {
+            let speed = image_speed(found, **number).unwrap_or(0.0);
+            let by_shift = (shift[0] - sent.shift[0]).hypot(shift[1] - sent.shift[1]);
+            let by_delay = speed * (delay - sent.delay).abs();
+            // The rows at the border are exposed half a readout from the middle one.
+            let by_rows = 0.5 * speed * (found.rolling_shutter_readout - sent.readout).abs();
+            [by_shift, by_delay, by_rows].iter().any(|off| *off > MAX_DISPLACEMENT)
+        };
+        self.sent.iter().filter(is_off).map(|(number, sent)| (*number, sent.index)).collect()
+    }
+
+    /// Whether depth gave lengths a unit after the map was begun without, or took it: the map is to
+    /// be made anew.
+    pub(crate) fn has_changed_unit(&self, found: &Reconstruction) -> bool {
+        self.gauge.is_some_and(|gauge| gauge.is_metric != found.depth_model.is_some())
+    }
+
+    /// The final path in world and unit of the map: where the first mapped frame was, and without
+    /// depth with the length of the path through mapped frames.
+    fn placed_at_the_end(&self, found: Reconstruction) -> Reconstruction {
+        let known = |(number, sent): (&usize, &SentFrame)| {
+            Some((sent.pose, found.poses.get(*number).copied().flatten()?))
+        };
+        let (were, are): (Vec<Pose<f64>>, Vec<Pose<f64>>) =
+            self.sent.iter().filter_map(known).unzip();
+        let Some((sent, now)) = were.first().copied().zip(are.first().copied()) else {
+            return found;
+        };
+        let ratio = reach(&were) / reach(&are);
+        let is_scaled = found.depth_model.is_none() && ratio.is_finite() && ratio > 0.0;
+        let scale = if is_scaled { ratio } else { 1.0 };
+        let now = Pose { translation: now.translation * scale, ..now };
+        let mut placed = found.scaled(scale);
+        placed.transform(&(sent * now.inverse()));
+        placed
+    }
+}
+
+/// Sum of the distances to the first pose.
+fn reach(poses: &[Pose<f64>]) -> f64 {
+    poses.iter().map(|pose| (pose.translation - poses[0].translation).norm()).sum()
+}
+
+/// Offset of the depth picture at a width and height of pictures [px], and its delay [s].
+fn offset(found: &Reconstruction, (width, height): (usize, usize)) -> ([f64; 2], f64) {
+    let Some(model) = &found.depth_model else { return ([0.0; 2], 0.0) };
+    let scale =
+        [width as f64 / found.camera.width as f64, height as f64 / found.camera.height as f64];
+    (std::array::from_fn(|i| scale[i] * model.shift[i]), model.delay)
+}
+
+/// Speed of the picture by the rotation between the frames around one [px/s].
+fn image_speed(found: &Reconstruction, frame: usize) -> Option<f64> {
+    let (before, after) = (frame.saturating_sub(1), (frame + 1).min(found.poses.len() - 1));
+    let (first, last) = (found.poses[before]?, found.poses[after]?);
+    let time = found.timestamps[after] - found.timestamps[before];
+    let turn = first.local(last).rotation.norm();
+    (time > 0.0).then(|| found.camera.fx * turn / time)
+}

@@ -1,0 +1,148 @@
+//! SLAM while the camera moves: the pose of a frame when it comes, and a map that follows the
+//! corrections of poses.
+
+mod mapping;
+mod queue;
+
+pub(crate) use mapping::{MappedFrames, OnlineMapping};
+
+use super::Session;
+use crate::config::Config;
+use crate::keyframes::OdometryProgress;
+use crate::reconstruction::Reconstruction;
+use i2slam_dataset::Frame;
+use i2slam_geometry::{Camera, Image, Pose, StampedPose};
+use i2slam_odometry::{
+    DepthPicture, FrontEnd, Intrinsics, OdometryError, PictureError, TrackingStatus,
+};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+/// SLAM on frames of a known camera while they come, with measured depth or without.
+///
+/// [`push`](Self::push) answers with the pose of its frame; the map is made on a thread of its own, in
+/// an order that depends on the frames alone, so that results do not depend on the machine.
+/// [`finish`](Self::finish) adjusts all poses together, closes loops and refines the map.
+///
+/// ```no_run
+/// use i2slam::{Config, OnlineSession, RunOptions};
+///
+/// let options = RunOptions::with_depth();
+/// let sequence = options.open_sequence("rgbd_dataset_freiburg1_desk".as_ref())?;
+/// let mut session = OnlineSession::new(Config::default(), sequence.camera, sequence.frame_rate);
+/// for frame in sequence.stream() {
+///     let update = session.push(frame?)?;
+///     println!("{:?} {:?}", update.status, update.world_from_camera);
+/// }
+/// let reconstruction = session.finish(&mut |_, _| true)?;
+/// println!("{}", reconstruction.map);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+pub struct OnlineSession {
+    front_end: FrontEnd,
+    mapping: OnlineMapping,
+    /// Index of every frame that was accepted.
+    indices: Vec<usize>,
+    online: Vec<StampedPose>,
+    frame_rate: f64,
+}
+
+/// Answer to a frame.
+#[derive(Clone, Debug)]
+pub struct OnlineUpdate {
+    /// Index of the frame, as it came.
+    pub index: usize,
+    /// Its time stamp [s].
+    pub timestamp: f64,
+    /// Pose at mid-exposure, where it is known. The world is the camera of the first frame in the
+    /// map; the unit is the metre with depth, and otherwise half the median depth of that frame.
+    pub world_from_camera: Option<Pose<f64>>,
+    /// Status of the pose.
+    pub status: TrackingStatus,
+    /// Whether the frame became a keyframe.
+    pub is_keyframe: bool,
+    /// Poses of earlier frames of the map that changed since the last frame, by their index. The map
+    /// follows them.
+    pub corrections: BTreeMap<usize, Pose<f64>>,
+}
+
+impl OnlineSession {
+    /// A session on frames of `camera`, taken from a video of `frame_rate` frames per second.
+    pub fn new(config: Config, camera: Camera<f64>, frame_rate: f64) -> Self {
+        let session = Session::refining(config, camera, frame_rate);
+        Self {
+            front_end: FrontEnd::new(Intrinsics::Known(camera)),
+            mapping: OnlineMapping::new(session),
+            indices: Vec::new(),
+            online: Vec::new(),
+            frame_rate,
+        }
+    }
+
+    /// Restricts the image terms to recorded pixels, a mask such as `Sequence::valid_mask`.
+    pub fn set_valid_mask(&mut self, valid_mask: Arc<Image<bool>>) {
+        self.mapping.session().set_valid_mask(valid_mask);
+    }
+
+    /// Frames per second, as given.
+    pub fn frame_rate(&self) -> f64 {
+        self.frame_rate
+    }
+
+    /// Tracks a frame, and hands frames to the map as soon as those after them have come.
+    ///
+    /// It waits for the map where this is more than 32 frames behind.
+    ///
+    /// # Errors
+    ///
+    /// A frame that does not fit the camera, or whose time stamp does not follow: the session stays
+    /// as it was.
+    pub fn push(&mut self, frame: Frame) -> Result<OnlineUpdate, PictureError> {
+        let (index, timestamp) = (frame.index, frame.timestamp);
+        let depth = frame
+            .depth
+            .as_ref()
+            .map(|depth| DepthPicture { depth: &depth.image, timestamp: depth.timestamp });
+        let update = self.front_end.push(&frame.colour, timestamp, depth.as_ref())?;
+        self.indices.push(index);
+        let corrections = self.mapping.add_frame(&self.front_end, &update, frame);
+        let world_from_camera = update.pose.and_then(|pose| self.mapping.placed(pose));
+        self.online.extend(
+            world_from_camera.map(|world_from_camera| StampedPose { timestamp, world_from_camera }),
+        );
+        let (status, is_keyframe) = (update.status, update.is_keyframe);
+        Ok(OnlineUpdate { index, timestamp, world_from_camera, status, is_keyframe, corrections })
+    }
+
+    /// A copy of map and frames so far: those that the map has taken in. To be asked from another
+    /// thread, share the session in a mutex; a frame holds it only while it is tracked.
+    pub fn reconstruction(&self) -> Reconstruction {
+        Reconstruction {
+            online_trajectory: self.online.clone(),
+            ..self.mapping.session().reconstruction()
+        }
+    }
+
+    /// Adjusts all poses together and refines the map; stops refining when `on_step(done, total)`
+    /// returns false. Frames that the map was not made of have poses alone.
+    ///
+    /// # Errors
+    ///
+    /// The reason why no path was found in the frames.
+    pub fn finish(
+        self,
+        on_step: &mut dyn FnMut(usize, usize) -> bool,
+    ) -> Result<Reconstruction, OdometryError> {
+        let found = self.front_end.finish(OdometryProgress::default())?;
+        let (MappedFrames { mut session, .. }, found) = self.mapping.finish(found);
+        session.finish(on_step);
+        for (index, (pose, stamp)) in
+            self.indices.iter().zip(found.poses.iter().zip(&found.timestamps))
+        {
+            if let Some(pose) = pose {
+                session.insert_unrefined(*index, *stamp, *pose);
+            }
+        }
+        Ok(Reconstruction { online_trajectory: self.online, ..session.reconstruction() })
+    }
+}

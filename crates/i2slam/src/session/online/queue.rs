@@ -1,0 +1,218 @@
+//! The thread that maps frames beside tracking, in the order in which the front end gave them.
+
+use super::super::{Session, SessionError};
+use crate::keyframes::PosedKeyframe;
+use crate::keyframes::delivery::{depth, into_estimated, posed_view};
+use i2slam_geometry::Pose;
+use i2slam_odometry::{DenseDepthEstimator, DepthModel, Keyframe, KeyframePictures, MeasuredDepth};
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+
+/// Jobs that wait at most: tracking waits for mapping beyond, which bounds the memory of pictures.
+const MAX_WAITING: usize = 32;
+/// Keyframes whose pictures are kept: the reach of dense depth on either side.
+const KEPT_PICTURES: usize = 32;
+/// Keyframes after one that its depth is estimated with, where none is measured.
+const LATER_VIEWS: usize = 2;
+
+/// A piece of work, done in the order of sending.
+pub(super) enum Job {
+    Keyframe(Box<KeyframeJob>),
+    Between(Box<BetweenJob>),
+    /// Poses \[world from camera\] that changed, by the index of their frames.
+    Correct(BTreeMap<usize, Pose<f64>>),
+}
+
+/// A keyframe with what its depth is made of.
+pub(super) struct KeyframeJob {
+    /// Without depth.
+    pub(super) posed: PosedKeyframe,
+    pub(super) keyframe: Keyframe,
+    pub(super) pictures: KeyframePictures,
+    pub(super) depth_model: Option<DepthModel>,
+    /// Readout of the rolling shutter [s].
+    pub(super) readout: f64,
+    /// Steps of mapping.
+    pub(super) steps: usize,
+}
+
+/// A frame between keyframes, with measured depth.
+pub(super) struct BetweenJob {
+    /// Without depth.
+    pub(super) posed: PosedKeyframe,
+    pub(super) measured: MeasuredDepth,
+    /// Readout of the rolling shutter [s].
+    pub(super) readout: f64,
+    /// Steps of mapping.
+    pub(super) steps: usize,
+}
+
+/// Jobs for a session on a thread of its own.
+pub(super) struct MappingQueue {
+    session: Arc<Mutex<Session>>,
+    /// `None` once all jobs were sent.
+    jobs: Option<SyncSender<Job>>,
+    thread: Option<JoinHandle<Vec<SessionError>>>,
+    /// Set once nobody wants the map.
+    is_dropped: Arc<AtomicBool>,
+}
+
+impl MappingQueue {
+    pub(super) fn new(session: Session) -> Self {
+        let dense = DenseDepthEstimator::new(session.camera, Vec::new())
+            .with_cancellation(session.state.cancellation.clone());
+        let session = Arc::new(Mutex::new(session));
+        let (jobs, receiver) = sync_channel(MAX_WAITING);
+        let is_dropped = Arc::new(AtomicBool::new(false));
+        let worker = Worker {
+            is_dropped: Arc::clone(&is_dropped),
+            session: Arc::clone(&session),
+            dense,
+            keyframes: Vec::new(),
+            pictures: BTreeMap::new(),
+            waiting: VecDeque::new(),
+            errors: Vec::new(),
+        };
+        let thread = std::thread::spawn(move || worker.run(&receiver));
+        Self { session, jobs: Some(jobs), thread: Some(thread), is_dropped }
+    }
+
+    /// Sends a job; waits while too many do.
+    pub(super) fn send(&self, job: Job) {
+        if let Some(jobs) = &self.jobs {
+            // A thread that ended by a panic is told by `finish`.
+            let _ = jobs.send(job);
+        }
+    }
+
+    /// The session between two jobs.
+    pub(super) fn session(&self) -> MutexGuard<'_, Session> {
+        self.session.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Waits for all jobs; gives the session, and the errors of frames that could not be used.
+    pub(super) fn finish(mut self) -> (Session, Vec<SessionError>) {
+        self.jobs = None;
+        let errors = match self.thread.take().map(JoinHandle::join) {
+            Some(Ok(errors)) => errors,
+            Some(Err(panic)) => std::panic::resume_unwind(panic),
+            None => Vec::new(),
+        };
+        let mut session = self.session();
+        let empty = Session::refining(session.config.clone(), session.camera, session.frame_rate);
+        (std::mem::replace(&mut *session, empty), errors)
+    }
+}
+
+impl Drop for MappingQueue {
+    /// Ends the thread after its present job.
+    fn drop(&mut self) {
+        self.is_dropped.store(true, Ordering::Relaxed);
+        self.jobs = None;
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+struct Worker {
+    is_dropped: Arc<AtomicBool>,
+    session: Arc<Mutex<Session>>,
+    dense: DenseDepthEstimator,
+    /// Indices of the keyframes so far.
+    keyframes: Vec<usize>,
+    /// Pictures of the last keyframes, by their number.
+    pictures: BTreeMap<usize, KeyframePictures>,
+    /// Keyframes that wait for later ones, with their numbers.
+    waiting: VecDeque<(usize, Box<KeyframeJob>)>,
+    errors: Vec<SessionError>,
+}
+
+impl Worker {
+    /// Works until the last job was received.
+    fn run(mut self, jobs: &Receiver<Job>) -> Vec<SessionError> {
+        for job in jobs {
+            match job {
+                Job::Keyframe(job) => self.add_keyframe(job),
+                Job::Between(job) => self.map_between(*job),
+                Job::Correct(poses) => self.correct(&poses),
+            }
+        }
+        while let Some((number, job)) = self.waiting.pop_front() {
+            self.map_keyframe(number, *job);
+        }
+        self.errors
+    }
+
+    fn session(&self) -> MutexGuard<'_, Session> {
+        self.session.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Keeps the pictures of a keyframe, and maps it if its depth was measured; one without waits for
+    /// later ones, with which depth is estimated.
+    fn add_keyframe(&mut self, job: Box<KeyframeJob>) {
+        let number = self.keyframes.len();
+        self.keyframes.push(job.posed.index);
+        self.dense.add_view(posed_view(&job.keyframe), job.depth_model.clone());
+        self.pictures.insert(number, job.pictures.clone());
+        self.pictures.retain(|known, _| known + KEPT_PICTURES > number);
+        let is_measured = job.pictures.depth.is_some() && job.depth_model.is_some();
+        self.waiting.push_back((number, job));
+        let ahead = if is_measured { 0 } else { LATER_VIEWS };
+        while self.waiting.front().is_some_and(|(first, _)| first + ahead <= number) {
+            let Some((number, job)) = self.waiting.pop_front() else { return };
+            self.map_keyframe(number, *job);
+        }
+    }
+
+    fn map_keyframe(&mut self, number: usize, job: KeyframeJob) {
+        let pictures = &self.pictures;
+        let dense = self.dense.estimate(number, &mut |k| pictures.get(&k).cloned());
+        let size = (job.posed.colour.width, job.posed.colour.height);
+        let depth = Some(depth(dense, &job.keyframe, size));
+        self.map(PosedKeyframe { depth, ..job.posed }, (job.readout, job.steps));
+    }
+
+    fn map_between(&mut self, job: BetweenJob) {
+        let Some(near) = self.keyframes.len().checked_sub(1) else { return };
+        let pictures = &self.pictures;
+        let mut load = |k: usize| pictures.get(&k).cloned();
+        let pose = job.posed.world_from_camera;
+        let depth = self.dense.fuse(pose, near, &job.measured, &mut load).map(into_estimated);
+        self.map(PosedKeyframe { depth, ..job.posed }, (job.readout, job.steps));
+    }
+
+    fn map(&mut self, posed: PosedKeyframe, (readout, steps): (f64, usize)) {
+        let mut session = self.session();
+        let is_wanted = !self.is_dropped.load(Ordering::Relaxed);
+        if !is_wanted || session.state.cancellation.is_cancelled() || session.failure.is_some() {
+            return;
+        }
+        session.set_found_readout(readout);
+        session.config.mapping.iterations = steps;
+        let added = session.add_keyframe(posed).map(|_| ());
+        drop(session);
+        self.errors.extend(added.err());
+    }
+
+    /// Corrects the map, and keyframes that wait for it or that depth is fused with.
+    fn correct(&mut self, poses: &BTreeMap<usize, Pose<f64>>) {
+        let oldest = self.keyframes.len().saturating_sub(KEPT_PICTURES);
+        for (number, index) in self.keyframes.iter().enumerate().skip(oldest) {
+            if let Some(pose) = poses.get(index) {
+                self.dense.set_pose(number, *pose);
+            }
+        }
+        for (_, job) in &mut self.waiting {
+            let Some(now) = poses.get(&job.posed.index) else { continue };
+            let moved = *now * job.posed.world_from_camera.inverse();
+            let neighbours = job.posed.before.iter_mut().chain(&mut job.posed.after);
+            neighbours.for_each(|(_, pose)| *pose = moved * *pose);
+            job.posed.world_from_camera = *now;
+        }
+        self.session().correct(poses);
+    }
+}
