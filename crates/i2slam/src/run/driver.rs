@@ -61,7 +61,7 @@ pub(super) struct ItemKind {
     /// Name in messages.
     name: &'static str,
     first: &'static str,
-    stage: Stage,
+    pub(super) stage: Stage,
     /// Stage after the last item.
     last_stage: Stage,
     session: fn(crate::Config, Camera<f64>, f64) -> Session,

@@ -72,8 +72,13 @@ pub(super) fn from_odometry(
     let found = find_path(sequence, estimate_distortion, options, context, online.as_mut())?
         .with_pictures(size, |place| picture(sequence, place));
     let online = online.filter(|online| !online.has_changed_unit(found.reconstruction()));
-    let (mapped, found) = match online.map(|online| online.finish(found.reconstruction().clone())) {
-        Some((mapped, placed)) => {
+    let (mapped, found) = match online {
+        Some(online) => {
+            let observer = &context.observer;
+            observer.progress(KEYFRAMES.stage, 0, online.frames());
+            let path = found.reconstruction().clone();
+            let (mapped, placed) =
+                online.finish(path, &mut |frame, done, all| observer.frame(frame, done, all));
             (Some(mapped.without_outdated()), found.with_reconstruction(placed))
         }
         None => (None, found),

@@ -5,6 +5,7 @@ use super::queue::{BetweenJob, Job, KeyframeJob, MappingQueue};
 use crate::config::{MapKind, MappingConfig};
 use crate::keyframes::PosedKeyframe;
 use crate::keyframes::delivery::{MEDIAN_DEPTH, keyframe_pictures, measured_depth, posed};
+use crate::reconstruction::FrameEstimate;
 use i2slam_dataset::Frame;
 use i2slam_geometry::Pose;
 use i2slam_odometry::{FrameUpdate, FrontEnd, Reconstruction};
@@ -13,8 +14,10 @@ use std::sync::MutexGuard;
 
 /// Frames that wait for a map to start, at most: older ones are mapped at the end.
 const MAX_WAITING: usize = 64;
-/// Displacement of the pixels of a frame beyond which it is mapped anew [px].
-const MAX_DISPLACEMENT: f64 = 1.0;
+/// Displacement of the rows at the border of a frame beyond which it is mapped anew, and of its depth
+/// [px]: motion during the exposure is refined with the map, depth is not.
+const MAX_ROW_DISPLACEMENT: f64 = 1.0;
+const MAX_DEPTH_DISPLACEMENT: f64 = 0.25;
 
 /// Maps the frames of a front end when their neighbours are known, and lets the map follow the
 /// corrections of their poses.
@@ -143,6 +146,11 @@ impl OnlineMapping {
         }
     }
 
+    /// Number of frames that were sent to the map.
+    pub(crate) fn frames(&self) -> usize {
+        self.sent.len()
+    }
+
     /// The session between two frames.
     pub(crate) fn session(&self) -> MutexGuard<'_, Session> {
         self.queue.session()
@@ -263,31 +271,37 @@ impl OnlineMapping {
         Some(gauge.world * Pose { translation: pose.translation * gauge.scale, ..pose })
     }
 
-    /// Waits until all frames are mapped, and corrects the map to the final path, which is returned
-    /// in the world of the map.
-    pub(crate) fn finish(self, found: Reconstruction) -> (MappedFrames, Reconstruction) {
+    /// Waits until all frames are mapped, which `on_frame` sees with their number and that of all, and
+    /// corrects the map to the final path, which is returned in the world of the map.
+    pub(crate) fn finish(
+        self,
+        found: Reconstruction,
+        on_frame: &mut dyn FnMut(&FrameEstimate, usize, usize),
+    ) -> (MappedFrames, Reconstruction) {
         let found = self.placed_at_the_end(found);
         let outdated = self.outdated(&found);
         let pose_of = |number: &usize| found.poses.get(*number).copied().flatten();
         let poses = self.sent.iter().filter_map(|(n, sent)| Some((sent.index, pose_of(n)?)));
         self.queue.send(Job::Correct(poses.collect()));
         let Self { queue, sent, held_out, items, .. } = self;
-        let (session, errors) = queue.finish();
+        let all = sent.len();
+        let (session, errors) = queue.finish(&mut |frame, done| on_frame(frame, done, all));
         let mapped = sent.into_keys().collect();
         (MappedFrames { session, mapped, outdated, held_out, items, errors }, found)
     }
 
-    /// Frames that were mapped with pixels off by more than one, by readout and registration of
-    /// depth as found in the end: number in the front end and index.
+    /// Frames that were mapped with rows or depth off by more than a limit, by readout and registration
+    /// of depth as found in the end: number in the front end and index.
     fn outdated(&self, found: &Reconstruction) -> BTreeMap<usize, usize> {
         let (shift, delay) = offset(found, self.size);
+        let depth = found.median_depth().unwrap_or(f64::INFINITY);
         let is_off = |(number, sent): &(&usize, &SentFrame)| {
-            let speed = image_speed(found, **number).unwrap_or(0.0);
+            let speed = image_speed(found, **number, depth).unwrap_or(0.0);
             let by_shift = (shift[0] - sent.shift[0]).hypot(shift[1] - sent.shift[1]);
             let by_delay = speed * (delay - sent.delay).abs();
             // The rows at the border are exposed half a readout from the middle one.
             let by_rows = 0.5 * speed * (found.rolling_shutter_readout - sent.readout).abs();
-            [by_shift, by_delay, by_rows].iter().any(|off| *off > MAX_DISPLACEMENT)
+            by_shift + by_delay > MAX_DEPTH_DISPLACEMENT || by_rows > MAX_ROW_DISPLACEMENT
         };
         self.sent.iter().filter(is_off).map(|(number, sent)| (*number, sent.index)).collect()
     }
@@ -332,11 +346,12 @@ fn offset(found: &Reconstruction, (width, height): (usize, usize)) -> ([f64; 2],
     (std::array::from_fn(|i| scale[i] * model.shift[i]), model.delay)
 }
 
-/// Speed of the picture by the rotation between the frames around one [px/s].
-fn image_speed(found: &Reconstruction, frame: usize) -> Option<f64> {
+/// Speed of the picture of a scene at a depth, by the motion between the frames around one [px/s].
+fn image_speed(found: &Reconstruction, frame: usize, depth: f64) -> Option<f64> {
     let (before, after) = (frame.saturating_sub(1), (frame + 1).min(found.poses.len() - 1));
     let (first, last) = (found.poses[before]?, found.poses[after]?);
     let time = found.timestamps[after] - found.timestamps[before];
-    let turn = first.local(last).rotation.norm();
-    (time > 0.0).then(|| found.camera.fx * turn / time)
+    let motion = first.local(last);
+    let angle = motion.rotation.norm() + motion.translation.norm() / depth;
+    (time > 0.0).then(|| found.camera.fx * angle / time)
 }

@@ -134,7 +134,8 @@ impl OnlineSession {
         on_step: &mut dyn FnMut(usize, usize) -> bool,
     ) -> Result<Reconstruction, OdometryError> {
         let found = self.front_end.finish(OdometryProgress::default())?;
-        let (MappedFrames { mut session, .. }, found) = self.mapping.finish(found);
+        let (MappedFrames { mut session, .. }, found) =
+            self.mapping.finish(found, &mut |_, _, _| {});
         session.finish(on_step);
         for (index, (pose, stamp)) in
             self.indices.iter().zip(found.poses.iter().zip(&found.timestamps))

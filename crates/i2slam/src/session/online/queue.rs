@@ -3,6 +3,7 @@
 use super::super::{Session, SessionError};
 use crate::keyframes::PosedKeyframe;
 use crate::keyframes::delivery::{depth, into_estimated, posed_view};
+use crate::reconstruction::FrameEstimate;
 use i2slam_geometry::Pose;
 use i2slam_odometry::{DenseDepthEstimator, DepthModel, Keyframe, KeyframePictures, MeasuredDepth};
 use std::collections::{BTreeMap, VecDeque};
@@ -10,9 +11,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
+use std::time::Duration;
 
 /// Jobs that wait at most: tracking waits for mapping beyond, which bounds the memory of pictures.
 const MAX_WAITING: usize = 32;
+/// Interval at which progress is told.
+const POLLING_INTERVAL: Duration = Duration::from_millis(20);
 /// Keyframes whose pictures are kept: the reach of dense depth on either side.
 const KEPT_PICTURES: usize = 32;
 /// Keyframes after one that its depth is estimated with, where none is measured.
@@ -93,9 +97,22 @@ impl MappingQueue {
         self.session.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Waits for all jobs; gives the session, and the errors of frames that could not be used.
-    pub(super) fn finish(mut self) -> (Session, Vec<SessionError>) {
+    /// Waits for all jobs, telling every frame that is mapped with the number of frames so far; gives
+    /// the session, and the errors of frames that could not be used.
+    pub(super) fn finish(
+        mut self,
+        on_frame: &mut dyn FnMut(&FrameEstimate, usize),
+    ) -> (Session, Vec<SessionError>) {
         self.jobs = None;
+        let mut told = 0;
+        while self.thread.as_ref().is_some_and(|thread| !thread.is_finished()) {
+            std::thread::sleep(POLLING_INTERVAL);
+            let session = self.session();
+            for estimate in session.frames().iter().skip(told) {
+                told += 1;
+                on_frame(estimate, told);
+            }
+        }
         let errors = match self.thread.take().map(JoinHandle::join) {
             Some(Ok(errors)) => errors,
             Some(Err(panic)) => std::panic::resume_unwind(panic),
