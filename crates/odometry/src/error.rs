@@ -41,6 +41,14 @@ pub enum OdometryError {
         "no two pictures agree on a motion of the camera: the scene itself moves, or the intrinsics are far off; check them or let the focal length be estimated"
     )]
     NoConsistentMotion,
+    /// A picture could not be read back from the [`ScratchFile`](crate::ScratchFile).
+    #[error(
+        "a picture that had left memory could not be read back from the scratch file ({reason}): check the disk, or allow more memory"
+    )]
+    Scratch {
+        /// Kind of the failure.
+        reason: std::io::ErrorKind,
+    },
     /// Cancelled through [`Progress`](crate::Progress).
     #[error("ended before the path of the camera was found")]
     Cancelled,

@@ -4,6 +4,7 @@ use crate::depth::calibration::calibrate_depth;
 use crate::depth::depth_map::DepthPicture;
 use crate::depth::readings::read_depth;
 use crate::depth::scale::scale_to_readings;
+use crate::depth::scratch::ScratchFile;
 use crate::diagnosis::findings::diagnose;
 use crate::diagnosis::pictures::PictureChecks;
 use crate::error::{OdometryError, PictureError};
@@ -24,7 +25,7 @@ use crate::rolling_shutter::readout::{estimate_rolling_shutter, median_frame_int
 use crate::rolling_shutter::rolling_shutter_init::initialize_readout;
 use crate::segmentation::moving_tracks::leave_out_moving_objects;
 use crate::sfm_state::SfmState;
-use crate::track::tracker::{FrameReport, Tracker};
+use crate::track::tracker::{BACKWARD_FRAMES, FrameReport, Tracker};
 use crate::track::tracks::{Tracks, repeated_frame};
 use i2slam_geometry::{Image, Pose};
 use std::sync::Arc;
@@ -39,6 +40,8 @@ const DEPTH_CALIBRATION_ROUNDS: usize = 3;
 /// Time between a depth picture and its colour picture up to which it is used, a frame interval
 /// where that is longer [s]: it is read for the velocity of the camera, which hands change within.
 const MAX_DEPTH_DELAY: f64 = 0.1;
+/// Frames whose pictures stay in memory: those that the map may take up anew, and some more.
+const FRAMES_IN_MEMORY: usize = 2 * BACKWARD_FRAMES;
 /// Shorter side of a picture, at least [px].
 pub const MIN_SIDE: usize = 48;
 
@@ -50,6 +53,9 @@ pub struct FrontEnd {
     picture_checks: PictureChecks,
     map: OnlineMap,
     close_loops: bool,
+    scratch: Option<Arc<ScratchFile>>,
+    /// The first frame whose picture has not been moved to the file.
+    first_in_memory: usize,
 }
 
 /// Pose and status of a frame at the time when it came.
@@ -73,12 +79,20 @@ impl FrontEnd {
     pub fn new(intrinsics: Intrinsics) -> Self {
         let (tracker, picture_checks) = (Tracker::default(), PictureChecks::default());
         let map = OnlineMap::new(SfmState::new(*intrinsics.camera(), Tracks::default()));
-        Self { intrinsics, tracker, picture_checks, map, close_loops: true }
+        let (close_loops, scratch, first_in_memory) = (true, None, 0);
+        Self { intrinsics, tracker, picture_checks, map, close_loops, scratch, first_in_memory }
     }
 
     /// Disables loop closure.
     pub fn without_loop_closure(self) -> Self {
         Self { close_loops: false, ..self }
+    }
+
+    /// Moves pictures and depth of frames that are some time past to a file, once lengths are metres:
+    /// memory then grows by the tracks of points and by keyframes alone. The result stays the same,
+    /// byte for byte; [`finish`](Self::finish) fails where a picture cannot be read back.
+    pub fn with_scratch(self, file: Arc<ScratchFile>) -> Self {
+        Self { scratch: Some(file), ..self }
     }
 
     /// Tracks points into the next picture, and registers it to the map so far: planes R, G, B in
@@ -137,9 +151,19 @@ impl FrontEnd {
                 TrackingStatus::Initializing
             }
         };
+        self.move_to_scratch(frame);
         let pose = self.map.poses.last().copied().flatten();
         let is_keyframe = self.tracker.tracks.keyframes.last() == Some(&frame);
         Ok(FrameUpdate { frame, pose, status, is_cut, is_keyframe })
+    }
+
+    /// Moves pictures that the next frames do not need to the scratch file.
+    fn move_to_scratch(&mut self, frame: usize) {
+        let state = &mut self.map.state;
+        let Some(file) = self.scratch.as_ref().filter(|_| !state.is_unscaled) else { return };
+        let end = frame.saturating_sub(FRAMES_IN_MEMORY);
+        (self.first_in_memory..end).for_each(|frame| state.move_input(frame, file));
+        self.first_in_memory = self.first_in_memory.max(end);
     }
 
     /// True if a depth picture taken `later` than its colour picture [s] is used.
@@ -173,7 +197,15 @@ impl FrontEnd {
         }
         let is_repeat = self.picture_checks.is_repeat.clone();
         let adjust_focal = !matches!(self.intrinsics, Intrinsics::Known(_));
-        let Self { intrinsics, picture_checks, map, tracker, close_loops: closes_loops } = self;
+        let Self {
+            intrinsics,
+            picture_checks,
+            map,
+            tracker,
+            close_loops: closes_loops,
+            scratch,
+            ..
+        } = self;
         let online_poses = map.poses;
         let mut state = initial_state(
             SfmState { progress: progress.clone(), ..map.state },
@@ -207,6 +239,9 @@ impl FrontEnd {
         adjust_remaining_frames(&mut state, adjust_focal);
         if progress.is_cancelled() {
             return Err(OdometryError::Cancelled);
+        }
+        if let Some(reason) = scratch.and_then(|file| file.failure()) {
+            return Err(OdometryError::Scratch { reason });
         }
         let readout = state.readout * median_frame_interval(&timestamps).unwrap_or(0.0);
         let (found, wrong) = ((readout, distortion_dropped), diagnose(&state, &picture_checks));

@@ -53,6 +53,7 @@ mod depth {
     pub(crate) mod readings;
     pub(crate) mod registration;
     pub(crate) mod scale;
+    pub(crate) mod scratch;
     pub(crate) mod sensor_model;
     pub(crate) mod stored_picture;
 }
@@ -130,6 +131,7 @@ mod dense;
 pub use dense::{DenseDepth, DenseDepthEstimator, KeyframePictures, MeasuredDepth, PosedView};
 pub use depth::depth_map::DepthPicture;
 pub use depth::registration::register_depth;
+pub use depth::scratch::ScratchFile;
 pub use depth::sensor_model::DepthModel;
 pub use diagnosis::pictures::blank_reason;
 pub use error::{OdometryError, PictureError};

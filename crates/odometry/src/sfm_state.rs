@@ -8,6 +8,7 @@ pub(crate) use scale::MIN_MEASURED_LANDMARKS;
 
 use crate::bundle::{FreeIntrinsics, RelativePoseFactor};
 use crate::depth::depth_map::{DepthMap, DepthPicture};
+use crate::depth::scratch::ScratchFile;
 use crate::depth::sensor_model::DepthModel;
 use crate::depth::stored_picture::StoredPicture;
 use crate::multiview::landmark::{Landmark, Match};
@@ -108,6 +109,19 @@ impl SfmState {
         Arc::make_mut(&mut self.timestamps).push(timestamp);
         Arc::make_mut(&mut self.depth_maps).push(depth);
         Arc::make_mut(&mut self.pictures).push(is_kept.then(|| StoredPicture::new(picture)));
+    }
+
+    /// Moves the picture of a frame to a file, and its depth where that is not read again and again.
+    pub(crate) fn move_input(&mut self, frame: usize, file: &Arc<ScratchFile>) {
+        if let Some(picture) = &mut Arc::make_mut(&mut self.pictures)[frame] {
+            picture.move_to(file);
+        }
+        let is_keyframe = self.tracks.keyframes.binary_search(&frame).is_ok();
+        if let Some(map) =
+            Arc::make_mut(&mut self.depth_maps)[frame].as_mut().filter(|_| !is_keyframe)
+        {
+            map.move_to(file);
+        }
     }
 
     /// Adds the last frame of the tracker, whose `tracked` points have a new observation there; one

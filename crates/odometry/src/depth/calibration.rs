@@ -191,7 +191,7 @@ fn usual_deviation(state: &SfmState, predictions: &[Prediction], d: &Displacemen
 fn ratio(state: &SfmState, p: &Prediction, [right, down, delay]: &Displacement) -> Option<f64> {
     let time = p.later + delay;
     let at = [p.at[0] + right + time * p.velocity[0], p.at[1] + down + time * p.velocity[1]];
-    let read = state.depth_maps.get(p.frame)?.as_ref()?.inverse_at(at)?;
+    let read = state.depth_maps.get(p.frame)?.as_ref()?.readings().inverse_at(at)?;
     Some((read - time * p.rate) / p.inverse)
 }
 

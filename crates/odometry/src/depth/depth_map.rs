@@ -1,5 +1,6 @@
 //! Depth pictures as they are kept, and their readings between pixels.
 
+use super::scratch::{ScratchFile, StoredImage};
 use crate::alignment::{halved_depth, is_one_surface};
 use i2slam_geometry::Image;
 use std::sync::Arc;
@@ -20,7 +21,7 @@ pub struct DepthPicture<'a> {
 #[derive(Clone, Debug)]
 pub(crate) struct DepthMap {
     /// Depth [m], 0 where there is no reading.
-    pub(crate) depth: Arc<Image<f32>>,
+    depth: StoredImage<f32>,
     /// Pixels of the picture from one reading to the next.
     step: usize,
     /// [s]
@@ -37,17 +38,17 @@ impl DepthMap {
         let halvings = halvings(picture.depth.width, picture.depth.height);
         let mut depth = picture.depth.clone();
         (0..halvings).for_each(|_| depth = halved_depth(&depth));
-        Self { depth: Arc::new(depth), step: 1 << halvings, timestamp: picture.timestamp }
+        Self { depth: StoredImage::new(depth), step: 1 << halvings, timestamp: picture.timestamp }
     }
 
     /// True if any pixel has a reading.
     pub(crate) fn has_readings(&self) -> bool {
-        self.depth.data.iter().any(|z| *z > 0.0 && z.is_finite())
+        self.depth.image().data.iter().any(|z| *z > 0.0 && z.is_finite())
     }
 
     /// Drops the readings of blocks of the picture.
     pub(crate) fn clear(&mut self, blocks: &Image<bool>) {
-        let depth = Arc::make_mut(&mut self.depth);
+        let mut depth = Image::clone(&self.depth.image());
         let (width, height) = (depth.width, depth.height);
         for (i, value) in depth.data.iter_mut().enumerate() {
             let (column, row) = (i % width, i / width);
@@ -55,8 +56,28 @@ impl DepthMap {
                 *value = 0.0;
             }
         }
+        self.depth = StoredImage::new(depth);
     }
 
+    /// The readings, read where they are not in memory.
+    pub(crate) fn readings(&self) -> DepthReadings {
+        DepthReadings { depth: self.depth.image(), step: self.step }
+    }
+
+    /// Moves the readings to a file.
+    pub(crate) fn move_to(&mut self, file: &Arc<ScratchFile>) {
+        self.depth.move_to(file);
+    }
+}
+
+/// Readings of a frame in memory.
+pub(crate) struct DepthReadings {
+    /// Depth [m], 0 where there is no reading.
+    pub(crate) depth: Arc<Image<f32>>,
+    step: usize,
+}
+
+impl DepthReadings {
     /// Inverse depth at a position of the picture [px], interpolated between four readings of one
     /// surface; `None` without.
     pub(crate) fn inverse_at(&self, at: [f64; 2]) -> Option<f64> {
@@ -96,6 +117,7 @@ mod tests {
                 (1.0 / (near * plane(c as f64 + 0.5, r as f64 + 0.5))) as f32
             });
             let map = DepthMap::new(&DepthPicture { depth: &depth, timestamp: 0.0 });
+            let map = map.readings();
             let found = map.inverse_at([50.3, 70.9]).expect("a surface");
             assert!((found - plane(50.3, 70.9)).abs() < 1e-6, "{width}: {found}");
             assert_eq!(map.inverse_at([200.0, 70.9]), None);

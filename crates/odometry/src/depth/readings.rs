@@ -41,6 +41,10 @@ pub(crate) fn read_depth_at_prediction(state: &mut SfmState, frame: usize, inter
 fn read_depth_within(state: &mut SfmState, frame: usize, interval: f64, max_error: f64) {
     let (maps, by_frame) = (Arc::clone(&state.depth_maps), Arc::clone(&state.by_frame));
     let Some(map) = maps.get(frame).and_then(Option::as_ref) else { return };
+    if by_frame[frame].is_empty() {
+        return;
+    }
+    let map = map.readings();
     let poses = poses_at_both_times(state, frame, interval);
     let (camera, distortion, model) = (state.camera, state.distortion, &state.depth_model);
     for track in &by_frame[frame] {

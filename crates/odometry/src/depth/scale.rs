@@ -39,7 +39,7 @@ fn first_readings(state: &SfmState) -> Vec<[f64; 2]> {
         let (pose, map) = (state.poses[o.frame]?, state.depth_maps.get(o.frame)?.as_ref()?);
         let model = &state.depth_model;
         let at = position_in_depth_picture(&state.camera, state.distortion, model, o);
-        let both = [map.inverse_at(at)?, landmark.inverse_depth_in(&pose)];
+        let both = [map.readings().inverse_at(at)?, landmark.inverse_depth_in(&pose)];
         both.iter().all(|inverse| *inverse > 0.0).then_some(both)
     };
     let first = |(landmark, track): (&Option<Landmark>, &Track)| {

@@ -211,7 +211,7 @@ impl PreparedView {
             let colour_from_depth = Pose::identity().retract(velocity.scaled(later));
             let scale = camera.fx / state.camera.fx;
             let shift = state.depth_model.shift.map(|v| scale * v);
-            register_depth(&map.depth, &camera, shift, &colour_from_depth.inverse())
+            register_depth(&map.readings().depth, &camera, shift, &colour_from_depth.inverse())
         };
         let depth = state.depth_maps.get(frame).and_then(Option::as_ref).map(registered);
         let motion = ExposureMotion {

@@ -238,8 +238,9 @@ mod tests {
             assert_eq!(state.landmarks.len(), state.tracks.tracks.len());
             // Frames near the ends show less of the room than of the object.
             for map in state.depth_maps.iter().take(FRAMES - 8).skip(8).flatten() {
-                let share = map.depth.data.iter().filter(|z| **z == 0.0).count() as f64
-                    / map.depth.data.len() as f64;
+                let depth = map.readings().depth;
+                let share = depth.data.iter().filter(|z| **z == 0.0).count() as f64
+                    / depth.data.len() as f64;
                 assert!((0.15..0.45).contains(&share), "{share} of the depth is dropped");
             }
         }

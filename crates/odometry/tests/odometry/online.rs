@@ -2,9 +2,20 @@
 
 use crate::scene::{camera, depth, moving, picture};
 use i2slam_geometry::{Image, Pose};
-use i2slam_odometry::{DepthPicture, FrameUpdate, FrontEnd, Intrinsics, TrackingStatus};
+use i2slam_odometry::{
+    DepthPicture, FrameUpdate, FrontEnd, Intrinsics, Progress, ScratchFile, TrackingStatus,
+};
+use std::fs::File;
+use std::sync::Arc;
 
 const FRAMES: usize = 24;
+
+/// Exact depth of the room.
+fn measured(pose: Pose<f64>) -> Image<f32> {
+    Image::from_fn(camera().width, camera().height, 1, |_, column, row| {
+        depth(pose, [column as f64 + 0.5, row as f64 + 0.5]) as f32
+    })
+}
 
 /// Updates of frames along a path, black where `is_covered`, with exact depth on demand.
 fn updates(
@@ -19,9 +30,7 @@ fn updates(
             true => Image::new(width, height, 3),
             false => picture(1, *pose, 1.0),
         };
-        let measured = Image::from_fn(width, height, 1, |_, column, row| {
-            depth(*pose, [column as f64 + 0.5, row as f64 + 0.5]) as f32
-        });
+        let measured = measured(*pose);
         let measured = with_depth.then_some(DepthPicture { depth: &measured, timestamp });
         front_end.push(&colour, timestamp, measured.as_ref()).expect("a picture of that size")
     };
@@ -130,6 +139,30 @@ fn a_camera_that_goes_forth_and_back_needs_no_more_keyframes() {
     };
     let last = found[2 * turn..].iter().map(off).fold(0.0, f64::max);
     assert!(last < 0.01, "{last}");
+}
+
+#[test]
+fn pictures_in_a_file_change_no_byte_of_the_result() {
+    let run = |scratch: Option<Arc<ScratchFile>>| {
+        let mut front_end = FrontEnd::new(Intrinsics::Known(camera()));
+        if let Some(file) = scratch {
+            front_end = front_end.with_scratch(file);
+        }
+        for (i, pose) in (0..60).map(|i| moving(i.min(60 - i))).enumerate() {
+            let (colour, measured) = (picture(1, pose, 1.0), measured(pose));
+            let depth = DepthPicture { depth: &measured, timestamp: i as f64 / 30.0 };
+            front_end.push(&colour, i as f64 / 30.0, Some(&depth)).expect("a picture of that size");
+        }
+        let found = front_end.finish(Progress::default()).expect("a path");
+        (found.poses, found.online_poses, found.deviations)
+    };
+    let folder = i2slam_check::TemporaryFolder::new("front-end-scratch");
+    let mut options = File::options();
+    let file = options.read(true).write(true).create_new(true).open(folder.join("pictures"));
+    let scratch = Arc::new(ScratchFile::new(file.expect("a file")));
+    assert_eq!(run(Some(Arc::clone(&scratch))), run(None));
+    assert_eq!(scratch.failure(), None);
+    assert!(std::fs::metadata(folder.join("pictures")).expect("the file").len() > 1_000_000);
 }
 
 #[test]
