@@ -31,6 +31,9 @@ pub use i2slam_odometry::{OdometryError, TrackingStatus};
 pub use i2slam_radiance as radiance;
 pub use reconstruction::{Convergence, FrameEstimate, Losses, Map, Reconstruction};
 pub use run::{Observer, PoseSource, RunError, RunOptions, RunOutcome, reconstruct};
-pub use session::{OnlineSession, OnlineUpdate, RuntimeEstimate, Session, SessionError};
+pub use session::{
+    MappingPanicked, OnlineError, OnlineSession, OnlineUpdate, RuntimeEstimate, Session,
+    SessionError,
+};
 pub use viewer::{OptimisedPose, Viewer};
 pub use warning::Warning;

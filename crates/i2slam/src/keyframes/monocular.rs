@@ -8,10 +8,9 @@ use i2slam_compute::CancellationToken;
 use i2slam_dataset::Frame;
 use i2slam_geometry::{Camera, Pose, StampedPose};
 use i2slam_odometry::{
-    DenseDepthEstimator, DepthPicture, FrameUpdate, FrontEnd, KeyframePictures, PoseDeviation,
-    Reconstruction,
+    DenseDepthEstimator, DepthPicture, FrontEnd, KeyframePictures, PoseDeviation, Reconstruction,
 };
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::collections::{BTreeMap, VecDeque};
 use thiserror::Error;
 
 pub use i2slam_odometry::{
@@ -49,12 +48,7 @@ pub struct MonocularSource<L> {
     refused: Vec<(usize, PictureError)>,
     next: usize,
     between: FramesBetween,
-    /// Frames that are not delivered.
-    left_out: BTreeSet<usize>,
 }
-
-/// Sees the front end after every picture that it accepted, with its position and the picture.
-pub(crate) type OnFrame<'a> = &'a mut dyn FnMut(&FrontEnd, &FrameUpdate, usize, Frame);
 
 /// Reads the picture at a position in the sequence.
 type BoxedLoader = Box<dyn FnMut(usize) -> Result<Frame, PictureError> + Send>;
@@ -77,19 +71,8 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
     pub fn find(
         intrinsics: Intrinsics,
         count: usize,
-        load: L,
-        progress: &OdometryProgress,
-    ) -> Result<Self, MonocularError> {
-        Self::find_watched(intrinsics, count, load, progress, &mut |_, _, _, _| {})
-    }
-
-    /// [`find`](Self::find) with a listener.
-    pub(crate) fn find_watched(
-        intrinsics: Intrinsics,
-        count: usize,
         mut load: L,
         progress: &OdometryProgress,
-        on_frame: OnFrame<'_>,
     ) -> Result<Self, MonocularError> {
         let mut front_end = FrontEnd::new(intrinsics);
         let (mut positions, mut refused, mut keyframes) = (Vec::new(), Vec::new(), 0);
@@ -99,14 +82,12 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
             }
             let pushed = load(position).and_then(|picture| {
                 let depth = depth_picture(&picture);
-                let update = front_end.push(&picture.colour, picture.timestamp, depth.as_ref())?;
-                Ok((update, picture))
+                Ok(front_end.push(&picture.colour, picture.timestamp, depth.as_ref())?)
             });
             match pushed {
-                Ok((update, picture)) => {
+                Ok(update) => {
                     positions.push(position);
                     keyframes += usize::from(update.is_keyframe);
-                    on_frame(&front_end, &update, position, picture);
                 }
                 Err(why) => refused.push((position, why)),
             }
@@ -125,17 +106,7 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
                 let reader =
                     PictureReader::new(keyframe_positions(&reconstruction, &positions), load);
                 let (dense, next, between) = (None, 0, FramesBetween::default());
-                let left_out = BTreeSet::new();
-                Ok(Self {
-                    reconstruction,
-                    dense,
-                    reader,
-                    positions,
-                    refused,
-                    next,
-                    between,
-                    left_out,
-                })
+                Ok(Self { reconstruction, dense, reader, positions, refused, next, between })
             }
             Err(failure) => Err(MonocularError::NoPath { failure, refused }),
         }
@@ -148,42 +119,10 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
     where
         R: FnMut(usize) -> Result<Frame, PictureError>,
     {
-        let Self { reconstruction, dense, positions, refused, next, between, left_out, .. } = self;
+        let Self { reconstruction, dense, positions, refused, next, between, .. } = self;
         let reconstruction = reconstruction.resized(width, height);
         let reader = PictureReader::new(keyframe_positions(&reconstruction, &positions), load);
-        MonocularSource {
-            reconstruction,
-            dense,
-            reader,
-            positions,
-            refused,
-            next,
-            between,
-            left_out,
-        }
-    }
-
-    /// Replaces the path by the same one in another world or unit of length.
-    #[must_use]
-    pub(crate) fn with_reconstruction(self, reconstruction: Reconstruction) -> Self {
-        Self { reconstruction, ..self }
-    }
-
-    /// Leaves out frames of the reconstruction, which are in the map already.
-    #[must_use]
-    pub(crate) fn without_frames(mut self, frames: &BTreeSet<usize>) -> Self {
-        self.between.frames.retain(|frame| !frames.contains(frame));
-        self.left_out = frames.clone();
-        self.skip_left_out();
-        self
-    }
-
-    /// Goes on to the next keyframe that is to be delivered.
-    fn skip_left_out(&mut self) {
-        let keyframes = &self.reconstruction.keyframes;
-        while keyframes.get(self.next).is_some_and(|k| self.left_out.contains(&k.index)) {
-            self.next += 1;
-        }
+        MonocularSource { reconstruction, dense, reader, positions, refused, next, between }
     }
 
     /// Delivers dense depth instead of landmarks alone, until `cancellation` is cancelled.
@@ -212,9 +151,7 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
 
     /// Number of frames that are still to be delivered.
     pub fn remaining(&self) -> usize {
-        let coming = self.reconstruction.keyframes.iter().skip(self.next);
-        let keyframes = coming.filter(|k| !self.left_out.contains(&k.index)).count();
-        keyframes + self.between.frames.len()
+        self.reconstruction.keyframes.len() - self.next + self.between.frames.len()
     }
 
     /// Posed frames of the reconstruction that are no keyframes, in order.
@@ -303,11 +240,9 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> KeyframeSource for Monocula
 impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
     /// The next keyframe.
     fn keyframe(&mut self) -> Option<Result<PosedKeyframe, PictureError>> {
-        let number = self.next;
-        self.next += 1;
-        self.skip_left_out();
-        let found = &self.reconstruction;
+        let (number, found) = (self.next, &self.reconstruction);
         let keyframe = found.keyframes.get(number)?;
+        self.next += 1;
         let frame = match self.reader.next(number) {
             Ok(picture) => picture,
             Err(why) => return Some(Err(why)),

@@ -7,12 +7,12 @@ use super::{RunOptions, RunOutcome, Stage, shortfall};
 use crate::config::{Parameters, TrackingMethod};
 use crate::keyframes::{PictureError, PosedKeyframe};
 use crate::reconstruction::Reconstruction;
-use crate::session::{MappedFrames, Session, SessionError};
+use crate::session::{Session, SessionError};
 use crate::warning::Warning;
 use i2slam_dataset::{Frame, Sequence};
 use i2slam_geometry::{Camera, Pose, StampedPose};
 use i2slam_odometry::PoseDeviation;
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::collections::{BTreeMap, VecDeque};
 use std::fmt::Display;
 use std::sync::Arc;
 use std::time::Instant;
@@ -52,8 +52,6 @@ pub(super) struct Input<'a> {
     pub(super) frames_given: usize,
     pub(super) estimate: Option<CameraEstimate>,
     pub(super) undistorted: Option<Sequence>,
-    /// The map of the frames that were mapped when they came.
-    pub(super) mapped: Option<MappedFrames>,
 }
 
 /// Words and stages of a kind of items.
@@ -61,7 +59,7 @@ pub(super) struct ItemKind {
     /// Name in messages.
     name: &'static str,
     first: &'static str,
-    pub(super) stage: Stage,
+    stage: Stage,
     /// Stage after the last item.
     last_stage: Stage,
     session: fn(crate::Config, Camera<f64>, f64) -> Session,
@@ -102,7 +100,6 @@ impl<'a> Input<'a> {
             frames_given: sequence.len(),
             estimate: None,
             undistorted: None,
-            mapped: None,
         }
     }
 
@@ -126,23 +123,26 @@ pub(super) fn run<'a>(
     let started = Instant::now();
     let mut input = catch_panic(open)?;
     context.observer.progress(input.kind.stage, 0, input.count);
-    let MappedFrames { mut session, held_out: kept_out, items: number, errors, .. } =
-        match input.mapped.take() {
-            Some(mapped) => mapped,
-            None => MappedFrames::none(new_session(sequence, options, context, &input)),
-        };
-    session.set_found_readout(input.readout);
-    session.share_steps(&options.config, input.keyframes, input.count + session.frames().len());
+    let mut config = options.config.clone().with_found_readout(input.readout);
+    if input.kind.stage == Stage::Frames && config.tracking.method == TrackingMethod::SecondOrder {
+        config.parameters = Parameters::tracked();
+    }
+    let steps = config.mapping.iterations * input.keyframes;
+    config.mapping.iterations = steps.div_ceil(input.count.max(1));
+    let mut session = (input.kind.session)(config, input.camera, input.frame_rate);
+    session.set_cancellation(context.cancellation.clone());
+    if let Some(valid_mask) = &input.undistorted.as_ref().unwrap_or(sequence).valid_mask {
+        session.set_valid_mask(Arc::clone(valid_mask));
+    }
     // Where the frames between keyframes are localised, too, their tracking tells.
     let is_path =
         input.estimate.is_some() && options.config.tracking.method == TrackingMethod::Adam;
     let few_poses = is_path.then(|| shortfall::of_path(input.path.len(), input.frames_given));
     let none_usable = input.none_usable();
     let items = std::mem::replace(&mut input.items, Box::new(std::iter::empty()));
-    let (held_out, skipped, first_error) = (VecDeque::new(), 0, None);
+    let (number, held_out, skipped) = (0, VecDeque::new(), 0);
     let mut driver =
-        Driver { session, input, context, number, kept_out, held_out, skipped, first_error };
-    errors.iter().for_each(|error| driver.leave_out(error));
+        Driver { session, input, context, number, held_out, skipped, first_error: None };
     let mut problem = catch_panic(|| driver.process_all(items)).err();
     let cancelled = || context.cancellation.is_cancelled();
     if cancelled() {
@@ -201,33 +201,12 @@ fn claim_deviations(found: &mut Reconstruction, deviations: &BTreeMap<usize, Pos
     }
 }
 
-/// The session of a source whose frames are all still to be mapped.
-fn new_session(
-    sequence: &Sequence,
-    options: &RunOptions,
-    context: &RunContext,
-    input: &Input<'_>,
-) -> Session {
-    let mut config = options.config.clone();
-    if input.kind.stage == Stage::Frames && config.tracking.method == TrackingMethod::SecondOrder {
-        config.parameters = Parameters::tracked();
-    }
-    let mut session = (input.kind.session)(config, input.camera, input.frame_rate);
-    session.set_cancellation(context.cancellation.clone());
-    if let Some(valid_mask) = &input.undistorted.as_ref().unwrap_or(sequence).valid_mask {
-        session.set_valid_mask(Arc::clone(valid_mask));
-    }
-    session
-}
-
 struct Driver<'a, 'b> {
     session: Session,
     input: Input<'a>,
     context: &'b RunContext,
     /// Number of frames so far, mapped or held out.
     number: usize,
-    /// Indices of frames that were kept from the map when they came.
-    kept_out: BTreeSet<usize>,
     /// Keyframes kept from the map, in order.
     held_out: VecDeque<PosedKeyframe>,
     skipped: usize,
@@ -265,9 +244,8 @@ impl Driver<'_, '_> {
                 )
             }
             Item::Keyframe(keyframe) => {
-                let was_kept_out = self.kept_out.contains(&keyframe.index);
-                self.number += usize::from(!was_kept_out);
-                if was_kept_out || self.session.holds_out(self.number - 1) {
+                self.number += 1;
+                if self.session.holds_out(self.number - 1) {
                     self.held_out.push_back(*keyframe);
                     return Ok(());
                 }

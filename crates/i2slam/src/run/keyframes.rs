@@ -11,12 +11,11 @@ use crate::keyframes::{
     self, ImportDepth, ImportOptions, Intrinsics, KeyframeSource, MonocularError, MonocularSource,
     OdometryError, OdometryProgress, OdometryWarning, PictureError, RefinedImport, import,
 };
-use crate::session::{OnlineMapping, Session};
 use crate::warning::Warning;
 use i2slam_dataset::import::ImportedKeyframes;
 use i2slam_dataset::{DepthPicture, Frame, Sequence};
 use i2slam_geometry::Pose;
-use i2slam_odometry::{FrameUpdate, FrontEnd, PoseDeviation};
+use i2slam_odometry::PoseDeviation;
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::{Arc, Mutex};
@@ -55,7 +54,6 @@ fn keyframes_of(
         frames_given: count,
         estimate: None,
         undistorted: None,
-        mapped: None,
     }
 }
 
@@ -68,21 +66,8 @@ pub(super) fn from_odometry(
     context: &RunContext,
 ) -> Result<Input<'static>, RunError> {
     let size = (sequence.camera.width, sequence.camera.height);
-    let mut online = online_mapping(sequence, options, context);
-    let found = find_path(sequence, estimate_distortion, options, context, online.as_mut())?
+    let found = find_path(sequence, estimate_distortion, options, context)?
         .with_pictures(size, |place| picture(sequence, place));
-    let online = online.filter(|online| !online.has_changed_unit(found.reconstruction()));
-    let (mapped, found) = match online {
-        Some(online) => {
-            let observer = &context.observer;
-            observer.progress(KEYFRAMES.stage, 0, online.frames());
-            let path = found.reconstruction().clone();
-            let (mapped, placed) =
-                online.finish(path, &mut |frame, done, all| observer.frame(frame, done, all));
-            (Some(mapped.without_outdated()), found.with_reconstruction(placed))
-        }
-        None => (None, found),
-    };
     let camera = CameraEstimate::new(sequence, found.reconstruction());
     context.observer.camera(&camera);
     let undistorted = camera.lens.as_ref().map(|lens| sequence.with_estimated_camera(lens));
@@ -91,7 +76,7 @@ pub(super) fn from_odometry(
         sequence.warnings.iter().for_each(|warning| context.warn(warning.as_str()));
     }
     let pictures = Arc::new(undistorted.as_ref().unwrap_or(sequence).clone());
-    let (others, between_pictures) = (Arc::clone(&pictures), Arc::clone(&pictures));
+    let (others, mapped) = (Arc::clone(&pictures), Arc::clone(&pictures));
     let source = found.with_pictures(size, move |place| picture(&pictures, place));
     let by_index = |(place, stamp, pose): (usize, f64, Pose<f64>)| {
         Some((sequence.entries.get(place)?.index, stamp, pose))
@@ -111,15 +96,10 @@ pub(super) fn from_odometry(
     // Their depth adds what keyframes do not see, and every exposure adds to the radiance.
     let is_measured = source.reconstruction().depth_model.is_some();
     let source = match is_measured && !is_paper && options.config.map.kind == MapKind::Gaussian {
-        true => source.with_frames_between(move |place| picture(&between_pictures, place)),
+        true => source.with_frames_between(move |place| picture(&mapped, place)),
         false => source,
     };
-    let keyframes = source.reconstruction().keyframes.len();
-    let source = match &mapped {
-        Some(mapped) => source.without_frames(&mapped.mapped),
-        None => source,
-    };
-    let count = source.remaining();
+    let (count, keyframes) = (source.remaining(), source.reconstruction().keyframes.len());
     let source = Box::new(source.with_dense_depth(context.cancellation.clone()));
     Ok(Input {
         between,
@@ -130,28 +110,7 @@ pub(super) fn from_odometry(
         estimate: Some(camera),
         undistorted,
         deviations,
-        mapped,
         ..keyframes_of(source, count, sequence.frame_rate)
-    })
-}
-
-/// Mapping of frames while the path is found: in Gaussians, with a known camera.
-fn online_mapping(
-    sequence: &Sequence,
-    options: &RunOptions,
-    context: &RunContext,
-) -> Option<OnlineMapping> {
-    let config = &options.config;
-    let is_online = !sequence.camera_is_guess
-        && config.tracking.method == TrackingMethod::SecondOrder
-        && config.map.kind == MapKind::Gaussian;
-    is_online.then(|| {
-        let mut session = Session::refining(config.clone(), sequence.camera, sequence.frame_rate);
-        session.set_cancellation(context.cancellation.clone());
-        if let Some(valid_mask) = &sequence.valid_mask {
-            session.set_valid_mask(Arc::clone(valid_mask));
-        }
-        OnlineMapping::new(session)
     })
 }
 
@@ -161,7 +120,6 @@ fn find_path(
     estimate_distortion: bool,
     options: &RunOptions,
     context: &RunContext,
-    mut online: Option<&mut OnlineMapping>,
 ) -> Result<MonocularSource<impl FnMut(usize) -> Result<Frame, PictureError> + use<>>, RunError> {
     let large = sequence.at_least(ODOMETRY_SIDE);
     let intrinsics = match (sequence.camera_is_guess, estimate_distortion) {
@@ -172,23 +130,15 @@ fn find_path(
     let count = large.len();
     let odometry_progress =
         odometry_progress(context, Some(Forecaster::new(&options.config, sequence)));
-    let is_small = (large.camera.width, large.camera.height)
-        == (sequence.camera.width, sequence.camera.height);
-    let mut on_frame = |front_end: &FrontEnd, update: &FrameUpdate, place: usize, frame: Frame| {
-        let Some(online) = online.as_mut() else { return };
-        let frame = if is_small { Ok(frame) } else { picture(sequence, place) };
-        if let Ok(frame) = frame {
-            online.add_frame(front_end, update, frame);
-        }
-    };
     let load = move |place: usize| picture(&large, place);
-    MonocularSource::find_watched(intrinsics, count, load, &odometry_progress, &mut on_frame)
-        .map_err(|error| match error {
+    MonocularSource::find(intrinsics, count, load, &odometry_progress).map_err(
+        |error| match error {
             MonocularError::NoPath { failure: OdometryError::Cancelled, .. } => {
                 RunError::Cancelled { before: "the path of the camera was found" }
             }
             error => RunError::NoPath(error),
-        })
+        },
+    )
 }
 
 /// Passes the progress of visual odometry on, and a forecast as soon as there is one.

@@ -46,6 +46,18 @@ impl Session {
         self.source.get_or_insert_default().world_from_source = Some(Pose::identity());
     }
 
+    /// A session of the same settings without frames, in the world that keyframes come in.
+    pub(super) fn restarted(&self) -> Self {
+        let mut session = Self::refining(self.config.clone(), self.camera, self.frame_rate);
+        session.keep_world();
+        session.is_readout_given = self.is_readout_given;
+        session.set_cancellation(self.state.cancellation.clone());
+        if let Some(valid_mask) = &self.state.valid_mask {
+            session.set_valid_mask(Arc::clone(valid_mask));
+        }
+        session
+    }
+
     /// Adds one keyframe, or a frame between keyframes, and refines map, poses and tone for some
     /// steps.
     ///

@@ -75,11 +75,13 @@ pub(crate) fn calibrate_depth(state: &mut SfmState) -> bool {
     let joint_cost = |adjusted: &SfmState, d: &Displacement| {
         cost(state, &predictions(adjusted, state), d, SCALE_RATIO * usual)
     };
+    let tried = found.into_iter().map(|d| (joint_cost(&adjusted_keyframes(state, Some(d)), &d), d));
+    let is_both = |d: &Displacement| d[2] != 0.0 && d[..2] != [0.0; 2];
+    let (both, alone): (Vec<_>, Vec<_>) = tried.partition(|(_, d)| is_both(d));
     // Where the camera turns evenly, a delay and an offset look alike: each has to pay for itself.
+    let better = alone.into_iter().min_by(|a, b| a.0.total_cmp(&b.0));
     let (mut least, mut chosen) = (joint_cost(&none, &[0.0; 3]), [0.0; 3]);
-    for displacement in found {
-        let adjusted = adjusted_keyframes(state, Some(displacement));
-        let now = joint_cost(&adjusted, &displacement);
+    for (now, displacement) in better.into_iter().chain(both) {
         if now < MAX_COST_RATIO * least {
             (least, chosen) = (now, displacement);
         }

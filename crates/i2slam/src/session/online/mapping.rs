@@ -1,11 +1,10 @@
 //! Frames on their way from the front end to the map.
 
-use super::super::{Session, SessionError};
-use super::queue::{BetweenJob, Job, KeyframeJob, MappingQueue};
+use super::super::Session;
+use super::queue::{BetweenJob, Job, KeyframeJob, MappingPanicked, MappingQueue};
 use crate::config::{MapKind, MappingConfig};
 use crate::keyframes::PosedKeyframe;
 use crate::keyframes::delivery::{MEDIAN_DEPTH, keyframe_pictures, measured_depth, posed};
-use crate::reconstruction::FrameEstimate;
 use i2slam_dataset::Frame;
 use i2slam_geometry::Pose;
 use i2slam_odometry::{FrameUpdate, FrontEnd, Reconstruction};
@@ -14,10 +13,6 @@ use std::sync::MutexGuard;
 
 /// Frames that wait for a map to start, at most: older ones are mapped at the end.
 const MAX_WAITING: usize = 64;
-/// Displacement of the rows at the border of a frame beyond which it is mapped anew, and of its depth
-/// [px]: motion during the exposure is refined with the map, depth is not.
-const MAX_ROW_DISPLACEMENT: f64 = 1.0;
-const MAX_DEPTH_DISPLACEMENT: f64 = 0.25;
 
 /// Maps the frames of a front end when their neighbours are known, and lets the map follow the
 /// corrections of their poses.
@@ -25,7 +20,7 @@ const MAX_DEPTH_DISPLACEMENT: f64 = 0.25;
 /// A frame is mapped when the frame after it has come: its motion is known then, and the landmarks
 /// of a keyframe. What is sent to the map, and in which order, depends on the frames alone, so that
 /// the map does not depend on when its thread works.
-pub(crate) struct OnlineMapping {
+pub(super) struct OnlineMapping {
     queue: MappingQueue,
     /// Width and height of the pictures that are mapped [px].
     size: (usize, usize),
@@ -40,47 +35,12 @@ pub(crate) struct OnlineMapping {
     keyframes: usize,
     /// Frames and keyframes so far that could be mapped.
     items: usize,
-    /// Indices of those that were kept from the map.
-    held_out: BTreeSet<usize>,
 }
 
-/// What online mapping made.
-pub(crate) struct MappedFrames {
-    pub(crate) session: Session,
-    /// Numbers in the front end of the frames in the map.
-    pub(crate) mapped: BTreeSet<usize>,
-    /// Those of them that are to be mapped anew, with their indices.
-    outdated: BTreeMap<usize, usize>,
-    /// Indices of frames that were kept from the map to test it.
-    pub(crate) held_out: BTreeSet<usize>,
-    /// Frames that could be mapped, those held out included.
-    pub(crate) items: usize,
-    /// Errors of frames that could not be used.
-    pub(crate) errors: Vec<SessionError>,
-}
-
-impl MappedFrames {
-    /// A session without a frame.
-    pub(crate) fn none(session: Session) -> Self {
-        Self {
-            session,
-            mapped: BTreeSet::new(),
-            outdated: BTreeMap::new(),
-            held_out: BTreeSet::new(),
-            items: 0,
-            errors: Vec::new(),
-        }
-    }
-
-    /// Takes frames out of the map that are to be mapped anew.
-    #[must_use]
-    pub(crate) fn without_outdated(mut self) -> Self {
-        let outdated = std::mem::take(&mut self.outdated);
-        self.mapped.retain(|number| !outdated.contains_key(number));
-        self.items -= outdated.len();
-        self.session.forget(&outdated.into_values().collect());
-        self
-    }
+/// The session with the map, and the final path in its world.
+pub(super) struct Finished {
+    pub(super) session: Session,
+    pub(super) path: Reconstruction,
 }
 
 /// A frame in the map.
@@ -88,10 +48,6 @@ struct SentFrame {
     index: usize,
     /// As last sent.
     pose: Pose<f64>,
-    /// Readout [s], offset [px] and delay [s] of depth that it was mapped with.
-    readout: f64,
-    shift: [f64; 2],
-    delay: f64,
 }
 
 struct WaitingFrame {
@@ -129,7 +85,7 @@ impl Gauge {
 
 impl OnlineMapping {
     /// Maps with a session on keyframes with poses.
-    pub(crate) fn new(mut session: Session) -> Self {
+    pub(super) fn new(mut session: Session) -> Self {
         session.keep_world();
         let (width, height) = (session.camera.width, session.camera.height);
         Self {
@@ -142,23 +98,17 @@ impl OnlineMapping {
             sent: BTreeMap::new(),
             keyframes: 0,
             items: 0,
-            held_out: BTreeSet::new(),
         }
     }
 
-    /// Number of frames that were sent to the map.
-    pub(crate) fn frames(&self) -> usize {
-        self.sent.len()
-    }
-
     /// The session between two frames.
-    pub(crate) fn session(&self) -> MutexGuard<'_, Session> {
+    pub(super) fn session(&self) -> MutexGuard<'_, Session> {
         self.queue.session()
     }
 
     /// Takes the last frame of the front end, whose picture has the size of those that are mapped.
     /// Returns the poses that changed since the last call, by the index of their frames.
-    pub(crate) fn add_frame(
+    pub(super) fn add_frame(
         &mut self,
         front_end: &FrontEnd,
         update: &FrameUpdate,
@@ -178,9 +128,9 @@ impl OnlineMapping {
         if !corrections.is_empty() {
             self.queue.send(Job::Correct(corrections.clone()));
         }
-        // A map that gets its unit of length later is made at the end.
-        if found.depth_model.is_some() != gauge.is_metric {
-            self.waiting.clear();
+        // The unit of a map stays: one that depth gives a unit later starts anew.
+        if found.depth_model.is_some() && !gauge.is_metric {
+            self.restart();
             return corrections;
         }
         while self.waiting.front().is_some_and(|first| first.number < update.frame) {
@@ -196,6 +146,14 @@ impl OnlineMapping {
         let is_posed = |f: &&WaitingFrame| f.is_keyframe && path.poses[f.number].is_some();
         let first = self.waiting.iter().find(is_posed)?.number;
         Gauge::at_keyframe(&front_end.path_so_far(Some(first)), first)
+    }
+
+    /// Drops the map; the next one begins with the frames that wait.
+    fn restart(&mut self) {
+        self.queue.send(Job::Restart);
+        self.gauge = None;
+        self.sent.clear();
+        self.keyframes = 0;
     }
 
     /// Bounds the frames that wait for a start: those between keyframes go first.
@@ -229,7 +187,6 @@ impl OnlineMapping {
         self.keyframes += usize::from(is_keyframe);
         self.items += 1;
         if self.mapping.holds_out(self.items - 1) {
-            self.held_out.insert(index);
             return;
         }
         let readout = path.rolling_shutter_readout;
@@ -252,8 +209,7 @@ impl OnlineMapping {
             let posed = PosedKeyframe { is_keyframe: false, ..posed };
             Job::Between(Box::new(BetweenJob { posed, measured, readout, steps }))
         };
-        let (shift, delay) = offset(path, self.size);
-        self.sent.insert(number, SentFrame { index, pose, readout, shift, delay });
+        self.sent.insert(number, SentFrame { index, pose });
         self.queue.send(job);
     }
 
@@ -266,50 +222,27 @@ impl OnlineMapping {
     }
 
     /// A pose of the front end in the world of the map, once there is one.
-    pub(crate) fn placed(&self, pose: Pose<f64>) -> Option<Pose<f64>> {
+    pub(super) fn placed(&self, pose: Pose<f64>) -> Option<Pose<f64>> {
         let gauge = self.gauge?;
         Some(gauge.world * Pose { translation: pose.translation * gauge.scale, ..pose })
     }
 
-    /// Waits until all frames are mapped, which `on_frame` sees with their number and that of all, and
-    /// corrects the map to the final path, which is returned in the world of the map.
-    pub(crate) fn finish(
-        self,
-        found: Reconstruction,
-        on_frame: &mut dyn FnMut(&FrameEstimate, usize, usize),
-    ) -> (MappedFrames, Reconstruction) {
-        let found = self.placed_at_the_end(found);
-        let outdated = self.outdated(&found);
-        let pose_of = |number: &usize| found.poses.get(*number).copied().flatten();
-        let poses = self.sent.iter().filter_map(|(n, sent)| Some((sent.index, pose_of(n)?)));
+    /// Waits until all frames are mapped, and corrects the map to the final path, which is returned
+    /// in the world of the map. Frames that are lost in the end leave the map.
+    pub(super) fn finish(self, found: Reconstruction) -> Result<Finished, MappingPanicked> {
+        let path = self.placed_at_the_end(found);
+        let pose_of = |number: usize| path.poses.get(number).copied().flatten();
+        let sent = || self.sent.iter().map(|(number, sent)| (sent.index, pose_of(*number)));
+        let poses = sent().filter_map(|(index, pose)| Some((index, pose?)));
         self.queue.send(Job::Correct(poses.collect()));
-        let Self { queue, sent, held_out, items, .. } = self;
-        let all = sent.len();
-        let (session, errors) = queue.finish(&mut |frame, done| on_frame(frame, done, all));
-        let mapped = sent.into_keys().collect();
-        (MappedFrames { session, mapped, outdated, held_out, items, errors }, found)
-    }
-
-    /// Frames that were mapped with rows or depth off by more than a limit, by readout and registration
-    /// of depth as found in the end: number in the front end and index.
-    fn outdated(&self, found: &Reconstruction) -> BTreeMap<usize, usize> {
-        let (shift, delay) = offset(found, self.size);
-        let depth = found.median_depth().unwrap_or(f64::INFINITY);
-        let is_off = |(number, sent): &(&usize, &SentFrame)| {
-            let speed = image_speed(found, **number, depth).unwrap_or(0.0);
-            let by_shift = (shift[0] - sent.shift[0]).hypot(shift[1] - sent.shift[1]);
-            let by_delay = speed * (delay - sent.delay).abs();
-            // The rows at the border are exposed half a readout from the middle one.
-            let by_rows = 0.5 * speed * (found.rolling_shutter_readout - sent.readout).abs();
-            by_shift + by_delay > MAX_DEPTH_DISPLACEMENT || by_rows > MAX_ROW_DISPLACEMENT
-        };
-        self.sent.iter().filter(is_off).map(|(number, sent)| (*number, sent.index)).collect()
-    }
-
-    /// Whether depth gave lengths a unit after the map was begun without, or took it: the map is to
-    /// be made anew.
-    pub(crate) fn has_changed_unit(&self, found: &Reconstruction) -> bool {
-        self.gauge.is_some_and(|gauge| gauge.is_metric != found.depth_model.is_some())
+        let lost: BTreeSet<usize> =
+            sent().filter(|(_, pose)| pose.is_none()).map(|(index, _)| index).collect();
+        let (mut session, errors) = self.queue.finish()?;
+        session.forget(&lost);
+        let warnings = errors.iter().map(|error| error.to_string().into());
+        session.state.warnings.extend(warnings);
+        session.config.mapping = self.mapping;
+        Ok(Finished { session, path })
     }
 
     /// The final path in world and unit of the map: where the first mapped frame was, and without
@@ -324,7 +257,8 @@ impl OnlineMapping {
             return found;
         };
         let ratio = reach(&were) / reach(&are);
-        let is_scaled = found.depth_model.is_none() && ratio.is_finite() && ratio > 0.0;
+        let is_metric = found.depth_model.is_some() && self.gauge.is_some_and(|g| g.is_metric);
+        let is_scaled = !is_metric && ratio.is_finite() && ratio > 0.0;
         let scale = if is_scaled { ratio } else { 1.0 };
         let now = Pose { translation: now.translation * scale, ..now };
         let mut placed = found.scaled(scale);
@@ -336,22 +270,4 @@ impl OnlineMapping {
 /// Sum of the distances to the first pose.
 fn reach(poses: &[Pose<f64>]) -> f64 {
     poses.iter().map(|pose| (pose.translation - poses[0].translation).norm()).sum()
-}
-
-/// Offset of the depth picture at a width and height of pictures [px], and its delay [s].
-fn offset(found: &Reconstruction, (width, height): (usize, usize)) -> ([f64; 2], f64) {
-    let Some(model) = &found.depth_model else { return ([0.0; 2], 0.0) };
-    let scale =
-        [width as f64 / found.camera.width as f64, height as f64 / found.camera.height as f64];
-    (std::array::from_fn(|i| scale[i] * model.shift[i]), model.delay)
-}
-
-/// Speed of the picture of a scene at a depth, by the motion between the frames around one [px/s].
-fn image_speed(found: &Reconstruction, frame: usize, depth: f64) -> Option<f64> {
-    let (before, after) = (frame.saturating_sub(1), (frame + 1).min(found.poses.len() - 1));
-    let (first, last) = (found.poses[before]?, found.poses[after]?);
-    let time = found.timestamps[after] - found.timestamps[before];
-    let motion = first.local(last);
-    let angle = motion.rotation.norm() + motion.translation.norm() / depth;
-    (time > 0.0).then(|| found.camera.fx * angle / time)
 }

@@ -4,7 +4,7 @@
 mod mapping;
 mod queue;
 
-pub(crate) use mapping::{MappedFrames, OnlineMapping};
+pub use queue::MappingPanicked;
 
 use super::Session;
 use crate::config::Config;
@@ -15,13 +15,15 @@ use i2slam_geometry::{Camera, Image, Pose, StampedPose};
 use i2slam_odometry::{
     DepthPicture, FrontEnd, Intrinsics, OdometryError, PictureError, TrackingStatus,
 };
+use mapping::{Finished, OnlineMapping};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// SLAM on frames of a known camera while they come, with measured depth or without.
 ///
 /// [`push`](Self::push) answers with the pose of its frame; the map is made on a thread of its own, in
-/// an order that depends on the frames alone, so that results do not depend on the machine.
+/// an order that depends on the frames alone, so that results do not depend on time unless
+/// `mapping.seconds_per_frame` is set.
 /// [`finish`](Self::finish) adjusts all poses together, closes loops and refines the map.
 ///
 /// ```no_run
@@ -55,7 +57,8 @@ pub struct OnlineUpdate {
     /// Its time stamp [s].
     pub timestamp: f64,
     /// Pose at mid-exposure, where it is known. The world is the camera of the first frame in the
-    /// map; the unit is the metre with depth, and otherwise half the median depth of that frame.
+    /// map; the unit is the metre with depth from the first frame on, and otherwise half the median
+    /// depth of that frame.
     pub world_from_camera: Option<Pose<f64>>,
     /// Status of the pose.
     pub status: TrackingStatus,
@@ -123,27 +126,37 @@ impl OnlineSession {
         }
     }
 
-    /// Adjusts all poses together and refines the map; stops refining when `on_step(done, total)`
+    /// Adjusts all poses together and refines the map, which moves along; stops refining when `on_step(done, total)`
     /// returns false. Frames that the map was not made of have poses alone.
     ///
     /// # Errors
     ///
-    /// The reason why no path was found in the frames.
+    /// The reason why no path was found in the frames; the map is lost then.
     pub fn finish(
         self,
         on_step: &mut dyn FnMut(usize, usize) -> bool,
-    ) -> Result<Reconstruction, OdometryError> {
+    ) -> Result<Reconstruction, OnlineError> {
         let found = self.front_end.finish(OdometryProgress::default())?;
-        let (MappedFrames { mut session, .. }, found) =
-            self.mapping.finish(found, &mut |_, _, _| {});
+        let Finished { mut session, path } = self.mapping.finish(found)?;
         session.finish(on_step);
-        for (index, (pose, stamp)) in
-            self.indices.iter().zip(found.poses.iter().zip(&found.timestamps))
-        {
+        let poses = path.poses.iter().zip(&path.timestamps);
+        for (index, (pose, stamp)) in self.indices.iter().zip(poses) {
             if let Some(pose) = pose {
                 session.insert_unrefined(*index, *stamp, *pose);
             }
         }
         Ok(Reconstruction { online_trajectory: self.online, ..session.reconstruction() })
     }
+}
+
+/// Failure to finish a session.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum OnlineError {
+    /// No path was found in the frames.
+    #[error(transparent)]
+    NoPath(#[from] OdometryError),
+    /// The map could not be made.
+    #[error(transparent)]
+    Mapping(#[from] MappingPanicked),
 }

@@ -3,7 +3,6 @@
 use super::super::{Session, SessionError};
 use crate::keyframes::PosedKeyframe;
 use crate::keyframes::delivery::{depth, into_estimated, posed_view};
-use crate::reconstruction::FrameEstimate;
 use i2slam_geometry::Pose;
 use i2slam_odometry::{DenseDepthEstimator, DepthModel, Keyframe, KeyframePictures, MeasuredDepth};
 use std::collections::{BTreeMap, VecDeque};
@@ -11,12 +10,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
-use std::time::Duration;
 
 /// Jobs that wait at most: tracking waits for mapping beyond, which bounds the memory of pictures.
 const MAX_WAITING: usize = 32;
-/// Interval at which progress is told.
-const POLLING_INTERVAL: Duration = Duration::from_millis(20);
 /// Keyframes whose pictures are kept: the reach of dense depth on either side.
 const KEPT_PICTURES: usize = 32;
 /// Keyframes after one that its depth is estimated with, where none is measured.
@@ -28,6 +24,8 @@ pub(super) enum Job {
     Between(Box<BetweenJob>),
     /// Poses \[world from camera\] that changed, by the index of their frames.
     Correct(BTreeMap<usize, Pose<f64>>),
+    /// The map begins anew.
+    Restart,
 }
 
 /// A keyframe with what its depth is made of.
@@ -54,6 +52,11 @@ pub(super) struct BetweenJob {
     pub(super) steps: usize,
 }
 
+/// The thread of the map ended by a panic, which is a defect of this library.
+#[derive(Clone, Copy, Debug, thiserror::Error)]
+#[error("mapping ended by an internal error: please report it with the frames that led to it")]
+pub struct MappingPanicked;
+
 /// Jobs for a session on a thread of its own.
 pub(super) struct MappingQueue {
     session: Arc<Mutex<Session>>,
@@ -66,8 +69,7 @@ pub(super) struct MappingQueue {
 
 impl MappingQueue {
     pub(super) fn new(session: Session) -> Self {
-        let dense = DenseDepthEstimator::new(session.camera, Vec::new())
-            .with_cancellation(session.state.cancellation.clone());
+        let dense = dense_estimator(&session);
         let session = Arc::new(Mutex::new(session));
         let (jobs, receiver) = sync_channel(MAX_WAITING);
         let is_dropped = Arc::new(AtomicBool::new(false));
@@ -97,30 +99,14 @@ impl MappingQueue {
         self.session.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Waits for all jobs, telling every frame that is mapped with the number of frames so far; gives
-    /// the session, and the errors of frames that could not be used.
-    pub(super) fn finish(
-        mut self,
-        on_frame: &mut dyn FnMut(&FrameEstimate, usize),
-    ) -> (Session, Vec<SessionError>) {
+    /// Waits for all jobs; gives the session, and the errors of frames that could not be used.
+    pub(super) fn finish(mut self) -> Result<(Session, Vec<SessionError>), MappingPanicked> {
         self.jobs = None;
-        let mut told = 0;
-        while self.thread.as_ref().is_some_and(|thread| !thread.is_finished()) {
-            std::thread::sleep(POLLING_INTERVAL);
-            let session = self.session();
-            for estimate in session.frames().iter().skip(told) {
-                told += 1;
-                on_frame(estimate, told);
-            }
-        }
-        let errors = match self.thread.take().map(JoinHandle::join) {
-            Some(Ok(errors)) => errors,
-            Some(Err(panic)) => std::panic::resume_unwind(panic),
-            None => Vec::new(),
-        };
+        let thread = self.thread.take().map(JoinHandle::join);
+        let errors = thread.unwrap_or_else(|| Ok(Vec::new())).map_err(|_| MappingPanicked)?;
         let mut session = self.session();
-        let empty = Session::refining(session.config.clone(), session.camera, session.frame_rate);
-        (std::mem::replace(&mut *session, empty), errors)
+        let empty = session.restarted();
+        Ok((std::mem::replace(&mut *session, empty), errors))
     }
 }
 
@@ -133,6 +119,11 @@ impl Drop for MappingQueue {
             let _ = thread.join();
         }
     }
+}
+
+fn dense_estimator(session: &Session) -> DenseDepthEstimator {
+    DenseDepthEstimator::new(session.camera, Vec::new())
+        .with_cancellation(session.state.cancellation.clone())
 }
 
 struct Worker {
@@ -152,16 +143,33 @@ impl Worker {
     /// Works until the last job was received.
     fn run(mut self, jobs: &Receiver<Job>) -> Vec<SessionError> {
         for job in jobs {
+            if self.is_dropped() {
+                return self.errors;
+            }
             match job {
                 Job::Keyframe(job) => self.add_keyframe(job),
                 Job::Between(job) => self.map_between(*job),
                 Job::Correct(poses) => self.correct(&poses),
+                Job::Restart => self.restart(),
             }
         }
-        while let Some((number, job)) = self.waiting.pop_front() {
+        while let Some((number, job)) = self.waiting.pop_front().filter(|_| !self.is_dropped()) {
             self.map_keyframe(number, *job);
         }
         self.errors
+    }
+
+    fn restart(&mut self) {
+        let empty = self.session().restarted();
+        self.dense = dense_estimator(&empty);
+        self.keyframes.clear();
+        self.pictures.clear();
+        self.waiting.clear();
+        *self.session() = empty;
+    }
+
+    fn is_dropped(&self) -> bool {
+        self.is_dropped.load(Ordering::Relaxed)
     }
 
     fn session(&self) -> MutexGuard<'_, Session> {
@@ -204,8 +212,7 @@ impl Worker {
 
     fn map(&mut self, posed: PosedKeyframe, (readout, steps): (f64, usize)) {
         let mut session = self.session();
-        let is_wanted = !self.is_dropped.load(Ordering::Relaxed);
-        if !is_wanted || session.state.cancellation.is_cancelled() || session.failure.is_some() {
+        if session.state.cancellation.is_cancelled() || session.failure.is_some() {
             return;
         }
         session.set_found_readout(readout);
