@@ -35,8 +35,7 @@ impl Session {
         }
     }
 
-    /// Removes frames, by their index, and what they brought into a map of Gaussians, so that they may
-    /// be added again with another readout or depth.
+    /// Removes frames, by their index, and the Gaussians that they brought into the map.
     pub(super) fn forget(&mut self, frames: &BTreeSet<usize>) {
         self.mapper.forget(frames);
         let is_kept: Vec<bool> =

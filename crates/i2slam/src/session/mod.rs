@@ -44,7 +44,7 @@ pub struct Session {
     tracker: FrameTracker,
     /// Poses as they came; `None` where frames are tracked and their poses stay.
     source: Option<SourcePoses>,
-    /// Whether a setting gives the readout of a rolling shutter, or asks for it.
+    /// True if a setting gives the readout of a rolling shutter, or asks for its estimate.
     is_readout_given: bool,
     /// Whether a frame without a depth picture was warned of.
     is_missing_depth_told: bool,

@@ -77,10 +77,10 @@ impl Session {
         let adjacent = AdjacentFrames { before, after };
         let is_keyframe = keyframe.is_keyframe;
         let (mut estimate, observation) = self.initial_estimate(keyframe, adjacent);
-        let position = self.state.frames.partition_point(|f| f.index <= estimate.index);
+        let position = self.state.frames.len();
         let maps = estimate.keyframe;
         estimate.keyframe &= is_keyframe;
-        self.insert(position, estimate);
+        self.state.frames.push(estimate);
         if position == 1 {
             self.initialize_first_exposure();
         }
@@ -106,9 +106,7 @@ impl Session {
             self.state.frames[position] = estimate;
         }
         if self.state.frames[position].keyframe {
-            let keyframes = &mut self.state.keyframes;
-            let place = keyframes.partition_point(|k| k.frame < position);
-            keyframes.insert(place, keyframe.clone());
+            self.state.keyframes.push(keyframe.clone());
         }
         self.map(&keyframe)?;
         self.state.frames[position].gaussians = self.mapper.gaussians();

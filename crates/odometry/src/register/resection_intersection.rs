@@ -230,7 +230,6 @@ mod tests {
         let before = error(&in_turn);
         adjust_in_turn(&mut in_turn);
         let (joint, in_turn) = (error(&joint), error(&in_turn));
-        println!("{joint} {in_turn} {before}");
         assert!(in_turn < 1.5 * joint && in_turn < 0.8 * before, "{joint} {in_turn} {before}");
     }
 }

@@ -21,7 +21,7 @@ impl Anchors {
         self.0.retain(|_| kept.next().is_some_and(|&kept| kept));
     }
 
-    /// Whether each Gaussian was brought by another frame than these.
+    /// Mask of the Gaussians whose frame is not one of `frames`.
     pub(super) fn outside(&self, frames: &BTreeSet<usize>) -> Vec<bool> {
         self.0.iter().map(|frame| !frames.contains(frame)).collect()
     }

@@ -11,7 +11,7 @@ use i2slam_odometry::{FrameUpdate, FrontEnd, Reconstruction};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::MutexGuard;
 
-/// Frames that wait for a map to start, at most: older ones are mapped at the end.
+/// Frames that wait for a map to start, at most: older ones have a pose in the end, and are not mapped.
 const MAX_WAITING: usize = 64;
 
 /// Maps the frames of a front end when their neighbours are known, and lets the map follow the
@@ -24,7 +24,7 @@ pub(super) struct OnlineMapping {
     queue: MappingQueue,
     /// Width and height of the pictures that are mapped [px].
     size: (usize, usize),
-    /// Whether frames between keyframes are mapped, too, where depth is measured.
+    /// True if frames between keyframes are mapped, too, where depth is measured.
     maps_between: bool,
     /// Steps for a keyframe, which the frames between keyframes share, and what is held out.
     mapping: MappingConfig,

@@ -46,7 +46,6 @@ pub struct OnlineSession {
     /// Index of every frame that was accepted.
     indices: Vec<usize>,
     online: Vec<StampedPose>,
-    frame_rate: f64,
 }
 
 /// Answer to a frame.
@@ -62,7 +61,7 @@ pub struct OnlineUpdate {
     pub world_from_camera: Option<Pose<f64>>,
     /// Status of the pose.
     pub status: TrackingStatus,
-    /// Whether the frame became a keyframe.
+    /// True if the frame became a keyframe.
     pub is_keyframe: bool,
     /// Poses of earlier frames of the map that changed since the last frame, by their index. The map
     /// follows them.
@@ -78,18 +77,12 @@ impl OnlineSession {
             mapping: OnlineMapping::new(session),
             indices: Vec::new(),
             online: Vec::new(),
-            frame_rate,
         }
     }
 
     /// Restricts the image terms to recorded pixels, a mask such as `Sequence::valid_mask`.
     pub fn set_valid_mask(&mut self, valid_mask: Arc<Image<bool>>) {
         self.mapping.session().set_valid_mask(valid_mask);
-    }
-
-    /// Frames per second, as given.
-    pub fn frame_rate(&self) -> f64 {
-        self.frame_rate
     }
 
     /// Tracks a frame, and hands frames to the map as soon as those after them have come.
