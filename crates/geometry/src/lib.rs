@@ -22,5 +22,5 @@ pub use real::Real;
 pub use rotation::{Rotation, right_jacobian, right_jacobian_inverse};
 pub use sample::Tap;
 pub use similarity::Similarity;
-pub use trajectory::{StampedPose, Trajectory, nearest_stamp};
+pub use trajectory::{StampedPose, Trajectory, interpolate_pose, nearest_stamp};
 pub use vector::{Mat3, Vec3};

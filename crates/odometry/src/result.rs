@@ -6,7 +6,7 @@ use crate::intrinsics::observability::reestimate_intrinsics;
 use crate::multiview::lens_distortion::brown_coefficients;
 use crate::pose_deviation::{PoseDeviation, pose_deviations};
 use crate::register::registration::MAX_JOINTLY_ADJUSTED_FRAMES;
-use crate::rolling_shutter::readout::{camera_velocity, median_frame_interval};
+use crate::rolling_shutter::readout::{median_frame_interval, pose_later};
 use crate::sfm_state::SfmState;
 use crate::track::tracks::Observation;
 use crate::warning::Warning;
@@ -122,16 +122,17 @@ impl Reconstruction {
     }
 
     /// The camera of a frame as seen from where it was when a depth picture with this timestamp
-    /// \[s\] was taken, at the velocity between the frames around it; the identity where that is not
+    /// \[s\] was taken, interpolated between the frames around it; the identity where that is not
     /// known.
     pub fn depth_from_colour(&self, frame: usize, depth_timestamp: f64) -> Pose<f64> {
-        let velocity = median_frame_interval(&self.timestamps)
-            .filter(|_| frame < self.poses.len())
-            .and_then(|interval| camera_velocity(&self.poses, &self.timestamps, frame, interval));
-        let Some(velocity) = velocity else { return Pose::identity() };
         let delay = self.depth_model.as_ref().map_or(0.0, |model| model.delay);
-        let later = depth_timestamp + delay - self.timestamps[frame];
-        Pose::identity().retract(velocity.scaled(later)).inverse()
+        let of = |interval: f64| {
+            let pose = (*self.poses.get(frame)?)?;
+            let later = depth_timestamp + delay - self.timestamps[frame];
+            let then = pose_later(&self.poses, &self.timestamps, frame, (later, interval))?;
+            Some(then.inverse() * pose)
+        };
+        median_frame_interval(&self.timestamps).and_then(of).unwrap_or_else(Pose::identity)
     }
 
     /// Poses of all registered frames.
@@ -398,7 +399,7 @@ mod tests {
         }
     }
 
-    /// Frames a second away give no velocity.
+    /// Frames a second away tell nothing of the motion.
     #[test]
     fn the_motion_until_a_depth_picture_is_that_of_near_frames() {
         let state = SfmState::new(camera(), Tracks { frames: 9, ..Tracks::default() });
@@ -412,9 +413,11 @@ mod tests {
         found.poses = (0..9).map(pose).collect();
         let moved = found.depth_from_colour(2, timestamps[2] + 0.01).translation;
         assert!((moved + step * 0.3).norm() < 1e-12, "{moved:?}");
-        for frame in [4, 5, 9] {
-            assert_eq!(found.depth_from_colour(frame, 0.15), Pose::identity());
-        }
+        let beside_gap = found.depth_from_colour(4, timestamps[4] + 0.01).translation;
+        assert!((beside_gap + step * 0.3).norm() < 1e-12, "{beside_gap:?}");
+        assert_eq!(found.depth_from_colour(9, 0.15), Pose::identity());
+        found.poses[..4].fill(None);
+        assert_eq!(found.depth_from_colour(4, timestamps[4] + 0.01), Pose::identity());
     }
 
     /// Precise points decide even where most lie before the lens; a precise near one stays.

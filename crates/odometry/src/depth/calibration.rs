@@ -5,19 +5,21 @@
 //! cameras, one that follows the motion of the picture a delay:
 //!
 //! ```text
-//! Σ ln(1 + (q / s - 1)² / c²),   q = (1/z(u + u̇ t + shift) - ρ̇ t) / ρ
+//! Σ ln(1 + (q / s - 1)² / c²),   q = (1/z(u(t) + shift) - ρ(t) + ρ(0)) / ρ(0)
 //! ```
 //!
-//! with `t` the time from the colour to the depth picture, delay included, and `s` the median of
-//! `q`: pictures alone leave the scale open.
+//! with `t` the time from the colour to the depth picture, delay included, position `u(t)` and
+//! inverse depth `ρ(t)` of the landmark then, and `s` the median of `q`: pictures alone leave the
+//! scale open.
 
 use crate::depth::readings::update_depth_model;
 use crate::multiview::lens_distortion::undistort;
 use crate::register::registration::adjust_globally;
-use crate::rolling_shutter::readout::{camera_velocity, median_frame_interval};
+use crate::rolling_shutter::readout::{median_frame_interval, parabola_minimum, pose_later};
 use crate::sfm_state::SfmState;
 use crate::track::tracks::Observation;
 use i2slam_compute::median;
+use i2slam_geometry::Pose;
 use std::sync::Arc;
 
 /// First steps of the search: offset as a ratio of the picture's width, delay in frame intervals.
@@ -27,10 +29,15 @@ const FIRST_DELAY: f64 = 0.25;
 const COARSE_STEPS: i32 = 3;
 /// Halvings of the steps in the fine search.
 const HALVINGS: usize = 7;
+/// Rounds of the search with landmarks of pictures and depth, and the ratio of their steps.
+const JOINT_REFINEMENTS: i32 = 3;
+const JOINT_STEP_RATIO: f64 = 1.0 / 3.0;
 /// Largest cost relative to that of registered depth at which a displacement is accepted.
 const MAX_COST_RATIO: f64 = 0.97;
 /// Scale of the robust cost over the median absolute residual of registered depth.
 const SCALE_RATIO: f64 = 0.5;
+/// Time before and after a frame by which the motion of its landmarks is predicted [frame intervals].
+const PREDICTED_TIME: f64 = 0.5;
 /// Observations from which on the registration is looked for, and most that are compared.
 const MIN_OBSERVATIONS: usize = 300;
 const MAX_OBSERVATIONS: usize = 8_000;
@@ -43,14 +50,19 @@ const MAX_LANDMARK_DEVIATION: f64 = 0.03;
 struct Prediction {
     frame: usize,
     /// Position in the colour picture, moved within a pixel (see [`spread_over_a_pixel`]) [px], and
-    /// its velocity [px/s].
-    at: [f64; 2],
-    velocity: [f64; 2],
-    /// Inverse depth [1/m], and its rate [1/(m s)].
-    inverse: f64,
-    rate: f64,
+    /// inverse depth [1/m]; their first and half their second derivative by time [s].
+    now: [f64; 3],
+    velocity: [f64; 3],
+    bend: [f64; 3],
     /// Time from the colour to the depth picture by their timestamps [s].
     later: f64,
+}
+
+impl Prediction {
+    /// Position and inverse depth some time later [s].
+    fn after(&self, time: f64) -> [f64; 3] {
+        std::array::from_fn(|i| self.now[i] + time * (self.velocity[i] + time * self.bend[i]))
+    }
 }
 
 /// Displacement of the depth picture: right and down [px], delay [s].
@@ -86,7 +98,8 @@ pub(crate) fn calibrate_depth(state: &mut SfmState) -> bool {
             (least, chosen) = (now, displacement);
         }
     }
-    let [right, down, delay] = chosen;
+    let joint = |d: &Displacement| joint_cost(&adjusted_keyframes(state, Some(*d)), d);
+    let [right, down, delay] = refine_jointly(&joint, state, (least, chosen));
     let model = &mut state.depth_model;
     let changed = model.shift != [right, down] || model.delay != delay;
     (model.shift, model.delay) = ([right, down], delay);
@@ -143,6 +156,37 @@ fn search(cost: &impl Fn(&Displacement) -> f64, mut steps: Displacement) -> Opti
     best.iter().zip(most).all(is_inside).then_some(best)
 }
 
+/// The displacement of least cost near one that was found from pictures alone, which do not
+/// determine far landmarks as well as depth does: by parabolas along the coordinates that are not
+/// zero, with steps of its search that fall.
+fn refine_jointly(
+    cost: &impl Fn(&Displacement) -> f64,
+    state: &SfmState,
+    (mut least, start): (f64, Displacement),
+) -> Displacement {
+    let mut best = start;
+    let shift = FIRST_SHIFT * state.camera.width as f64;
+    let delay = FIRST_DELAY * median_frame_interval(&state.timestamps).unwrap_or(0.0);
+    for round in 1..=JOINT_REFINEMENTS {
+        let steps = [shift, shift, delay].map(|step| step * JOINT_STEP_RATIO.powi(round));
+        for axis in (0..3).filter(|axis| start[*axis] != 0.0) {
+            let moved = |by: f64| {
+                let mut next = best;
+                next[axis] += by;
+                (cost(&next), next)
+            };
+            let sides = [-steps[axis], steps[axis]].map(moved);
+            let lowest = parabola_minimum(steps[axis], [sides[0].0, least, sides[1].0]).map(moved);
+            for (found, place) in sides.into_iter().chain(lowest) {
+                if found < least {
+                    (least, best) = (found, place);
+                }
+            }
+        }
+    }
+    best
+}
+
 /// The keyframes adjusted to their pictures, and to depth at a displacement if one is given.
 fn adjusted_keyframes(state: &SfmState, displacement: Option<Displacement>) -> SfmState {
     let mut out = state.keyframes_only();
@@ -191,10 +235,10 @@ fn usual_deviation(state: &SfmState, predictions: &[Prediction], d: &Displacemen
 
 /// Read over predicted inverse depth.
 fn ratio(state: &SfmState, p: &Prediction, [right, down, delay]: &Displacement) -> Option<f64> {
-    let time = p.later + delay;
-    let at = [p.at[0] + right + time * p.velocity[0], p.at[1] + down + time * p.velocity[1]];
-    let read = state.depth_maps.get(p.frame)?.as_ref()?.readings().inverse_at(at)?;
-    Some((read - time * p.rate) / p.inverse)
+    let [u, v, then] = p.after(p.later + delay);
+    let map = state.depth_maps.get(p.frame)?.as_ref()?;
+    let read = map.readings().inverse_at([u + right, v + down])?;
+    Some((read - then) / p.now[2] + 1.0)
 }
 
 /// Predictions of observations in keyframes with depth, evenly thinned.
@@ -216,7 +260,7 @@ fn predictions(visual: &SfmState, state: &SfmState) -> Vec<Prediction> {
 /// always suit noisy depth better.
 fn spread_over_a_pixel(predictions: &mut [Prediction]) {
     for (index, prediction) in predictions.iter_mut().enumerate() {
-        for (value, step) in prediction.at.iter_mut().zip(SPREADING_STEPS) {
+        for (value, step) in prediction.now.iter_mut().zip(SPREADING_STEPS) {
             *value += (step * index as f64).fract() - 0.5;
         }
     }
@@ -245,27 +289,30 @@ fn of_frame(
 ) -> Vec<Prediction> {
     let map = state.depth_maps.get(frame).and_then(Option::as_ref);
     let (Some(pose), Some(map)) = (visual.poses[frame], map) else { return Vec::new() };
-    // Velocities of all frames; lengths of both states differ by little.
-    let velocity = camera_velocity(&state.poses, &state.timestamps, frame, interval);
-    // A short time, so that differences are velocities.
-    let short = 1e-3 * interval;
-    let soon = velocity.map_or(pose, |v| pose.retract(v.scaled(short)));
+    // The motion of all frames; lengths of both states differ by little.
+    let reach = PREDICTED_TIME * interval;
+    let moved = |later: f64| {
+        let now = state.poses[frame]?;
+        let then = pose_later(&state.poses, &state.timestamps, frame, (later, interval))?;
+        Some(pose * (now.inverse() * then))
+    };
+    let [before, after] = [-reach, reach].map(|later| moved(later).unwrap_or(pose));
     let (camera, distortion) = (&visual.camera, visual.distortion);
     let of = |(track, o): (usize, &Observation)| {
         let is_usable = is_precise[track] && !o.is_outlier;
         let landmark = visual.landmarks[track].as_ref().filter(|_| is_usable)?;
-        let (now, then) =
-            (landmark.image_position(camera, &pose)?, landmark.image_position(camera, &soon)?);
+        let seen = |pose: &Pose<f64>| -> Option<[f64; 3]> {
+            let [u, v] = landmark.image_position(camera, pose)?;
+            Some([u, v, landmark.inverse_depth_in(pose)])
+        };
+        let (earlier, mut now, later) = (seen(&before)?, seen(&pose)?, seen(&after)?);
+        let by = |of: &dyn Fn(usize) -> f64| std::array::from_fn(of);
+        let velocity = by(&|i| (later[i] - earlier[i]) / (2.0 * reach));
+        let bend = by(&|i| (later[i] + earlier[i] - 2.0 * now[i]) / (2.0 * reach * reach));
         let flat = undistort(camera, distortion, o.raw);
-        let inverse = landmark.inverse_depth_in(&pose);
-        (inverse > 0.0).then(|| Prediction {
-            frame,
-            at: std::array::from_fn(|i| o.raw[i] + o.at[i] - flat[i]),
-            velocity: std::array::from_fn(|i| (then[i] - now[i]) / short),
-            inverse,
-            rate: (landmark.inverse_depth_in(&soon) - inverse) / short,
-            later: map.timestamp - state.timestamps[frame],
-        })
+        (0..2).for_each(|i| now[i] = o.raw[i] + o.at[i] - flat[i]);
+        let later = map.timestamp - state.timestamps[frame];
+        (now[2] > 0.0).then_some(Prediction { frame, now, velocity, bend, later })
     };
     visual.observations_in(frame).filter_map(of).collect()
 }
@@ -295,10 +342,9 @@ mod tests {
         let at = |index: usize| [8.5 + 4.0 * (index % 75) as f64, 8.5 + 4.0 * (index / 75) as f64];
         let of = |index: usize| Prediction {
             frame: 0,
-            at: at(index),
-            velocity: [0.0; 2],
-            inverse: 0.5,
-            rate: 0.0,
+            now: [at(index)[0], at(index)[1], 0.5],
+            velocity: [0.0; 3],
+            bend: [0.0; 3],
             later: 0.0,
         };
         let mut predictions: Vec<Prediction> = (0..75 * 55).map(of).collect();

@@ -3,7 +3,7 @@
 use crate::depth::sensor_model::DepthModel;
 use crate::multiview::landmark::Landmark;
 use crate::multiview::lens_distortion::undistort;
-use crate::rolling_shutter::readout::{camera_velocity, median_frame_interval};
+use crate::rolling_shutter::readout::{median_frame_interval, pose_later};
 use crate::sfm_state::SfmState;
 use crate::track::tracks::{DepthReading, Observation};
 use i2slam_geometry::{Camera, Pose};
@@ -109,8 +109,7 @@ fn poses_at_both_times(state: &SfmState, frame: usize, interval: f64) -> Option<
     let (pose, map) = (state.poses[frame]?, state.depth_maps.get(frame)?.as_ref()?);
     let stamp = state.timestamps.get(frame)?;
     let later = map.timestamp + state.depth_model.delay - stamp;
-    let velocity = camera_velocity(&state.poses, &state.timestamps, frame, interval)?;
-    Some([pose, pose.retract(velocity.scaled(later))])
+    Some([pose, pose_later(&state.poses, &state.timestamps, frame, (later, interval))?])
 }
 
 /// Change of image position [px] and inverse depth of a landmark from one pose to the other.

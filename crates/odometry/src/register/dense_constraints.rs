@@ -9,7 +9,7 @@ use crate::depth::depth_map::DepthMap;
 use crate::depth::registration::register_depth;
 use crate::online::revisits::MIN_REVISIT_AGE;
 use crate::progress::Stage;
-use crate::rolling_shutter::readout::{camera_velocity, median_frame_interval};
+use crate::rolling_shutter::readout::{camera_velocity, median_frame_interval, pose_later};
 use crate::sfm_state::SfmState;
 use i2slam_geometry::{Camera, Image, Pose, Tangent};
 use rayon::prelude::*;
@@ -208,10 +208,13 @@ impl PreparedView {
         let velocity = velocity.unwrap_or_else(Tangent::zero);
         let registered = |map: &DepthMap| {
             let later = map.timestamp + state.depth_model.delay - state.timestamps[frame];
-            let colour_from_depth = Pose::identity().retract(velocity.scaled(later));
+            let then = pose_later(&state.poses, &state.timestamps, frame, (later, interval));
+            let depth_from_colour = state.poses[frame]
+                .zip(then)
+                .map_or_else(Pose::identity, |(now, then)| then.inverse() * now);
             let scale = camera.fx / state.camera.fx;
             let shift = state.depth_model.shift.map(|v| scale * v);
-            register_depth(&map.readings().depth, &camera, shift, &colour_from_depth.inverse())
+            register_depth(&map.readings().depth, &camera, shift, &depth_from_colour)
         };
         let depth = state.depth_maps.get(frame).and_then(Option::as_ref).map(registered);
         let motion = ExposureMotion {

@@ -9,7 +9,7 @@ use crate::multiview::lens_distortion::undistort;
 use crate::progress::Stage;
 use crate::sfm_state::{MAX_READOUT, SfmState};
 use i2slam_compute::median;
-use i2slam_geometry::{Pose, Tangent};
+use i2slam_geometry::{Pose, StampedPose, Tangent, interpolate_pose};
 use std::sync::Arc;
 
 /// Steps of the first and of later searches [frame intervals].
@@ -194,6 +194,29 @@ pub(crate) fn camera_velocity(
         rotation: before.1.local(after.1).rotation,
     };
     Some(tangent.scaled(1.0 / time))
+}
+
+/// The pose of a frame's camera some time `later` \[s\], on the parabola through it and the frames
+/// before and after; `None` where those are far away in median frame intervals [s].
+///
+/// Poses are corrected by what they predict here: through more frames, errors that alternate from
+/// frame to frame would grow by that from round to round.
+pub(crate) fn pose_later(
+    poses: &[Option<Pose<f64>>],
+    timestamps: &[f64],
+    frame: usize,
+    (later, interval): (f64, f64),
+) -> Option<Pose<f64>> {
+    let known = |f: usize| {
+        Some(StampedPose { timestamp: timestamps[f], world_from_camera: (*poses.get(f)?)? })
+    };
+    let here = known(frame)?;
+    let is_near =
+        |p: &StampedPose| (p.timestamp - here.timestamp).abs() < MAX_VELOCITY_GAP * interval;
+    let before = (0..frame).rev().find_map(known).filter(is_near);
+    let after = (frame + 1..poses.len()).find_map(known).filter(is_near);
+    let path: Vec<StampedPose> = before.into_iter().chain([here]).chain(after).collect();
+    interpolate_pose(&path, here.timestamp + later)
 }
 
 #[cfg(test)]

@@ -1,12 +1,11 @@
 //! Ground truth of a sequence, copied to its degraded version.
 
-use super::delay::pose_at;
 use super::order::Shown;
 use super::{Degradation, refuse};
 use crate::error::SyntheticError;
 use crate::write::pose_numbers;
 use i2slam_dataset::Sequence;
-use i2slam_geometry::nearest_stamp;
+use i2slam_geometry::{StampedPose, interpolate_pose, nearest_stamp};
 use i2slam_storage::{OutputFolder, open};
 use std::io;
 use std::path::Path;
@@ -91,16 +90,17 @@ fn write_poses(
         return copy(truth, folder, "groundtruth.txt");
     }
     let mut poses = sequence.true_trajectory()?;
+    poses.dedup_by_key(|pose| pose.timestamp);
     if poses.is_empty() {
         return Ok(());
     }
     if let Some(order) = order.filter(|_| poses.len() > 1) {
         let time = |frame: usize| sequence.entries[frame].timestamp;
-        let of = |shown: &Shown| i2slam_geometry::StampedPose {
-            timestamp: time(shown.stamp),
-            world_from_camera: pose_at(&poses, time(shown.pose)),
+        let of = |shown: &Shown| {
+            let world_from_camera = interpolate_pose(&poses, time(shown.pose))?;
+            Some(StampedPose { timestamp: time(shown.stamp), world_from_camera })
         };
-        poses = order.iter().map(of).collect();
+        poses = order.iter().filter_map(of).collect();
     }
     let mut text = String::from("# world_from_camera at the time stamps of the colour pictures\n");
     text.push_str("# timestamp tx ty tz qx qy qz qw\n");
