@@ -180,7 +180,8 @@ impl FrontEnd {
     /// landmarks of one keyframe, given by its frame. Frames between keyframes have a pose, too; none
     /// has a deviation.
     pub fn path_so_far(&self, keyframe: Option<usize>) -> Reconstruction {
-        reconstruction_so_far(&self.map.state, keyframe)
+        let found = reconstruction_so_far(&self.map.state, keyframe);
+        Reconstruction { online_poses: self.map.poses.clone(), ..found }
     }
 
     /// Reconstructs the camera path from all pictures so far.

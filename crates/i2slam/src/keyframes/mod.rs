@@ -11,6 +11,7 @@ pub use monocular::{
     Intrinsics, MonocularError, MonocularSource, OdometryError, OdometryProgress,
     OdometryReconstruction, OdometryWarning, Stage,
 };
+pub(crate) use monocular::{BoxedLoader, GivenPictures, in_usual_unit};
 pub use refined_import::RefinedImport;
 pub(crate) use row_rectification::project_rolling;
 

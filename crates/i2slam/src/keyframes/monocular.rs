@@ -10,7 +10,7 @@ use i2slam_geometry::{Camera, Pose, StampedPose};
 use i2slam_odometry::{
     DenseDepthEstimator, DepthPicture, FrontEnd, KeyframePictures, PoseDeviation, Reconstruction,
 };
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use thiserror::Error;
 
 pub use i2slam_odometry::{
@@ -46,12 +46,45 @@ pub struct MonocularSource<L> {
     /// Position in the sequence of every picture that the front end accepted.
     positions: Vec<usize>,
     refused: Vec<(usize, PictureError)>,
-    next: usize,
+    /// Numbers of the keyframes that are still to be delivered.
+    coming: VecDeque<usize>,
     between: FramesBetween,
 }
 
+/// Pictures that a front end was given.
+#[derive(Default)]
+pub(crate) struct GivenPictures {
+    /// Position in the sequence of every picture that was accepted.
+    positions: Vec<usize>,
+    /// Others: position, reason.
+    pub(crate) refused: Vec<(usize, PictureError)>,
+}
+
+impl GivenPictures {
+    /// Gives the picture of every position to `push`, which tells whether it became a keyframe, until
+    /// `progress` is cancelled.
+    pub(crate) fn give(
+        count: usize,
+        progress: &OdometryProgress,
+        mut push: impl FnMut(usize) -> Result<bool, PictureError>,
+    ) -> Self {
+        let (mut given, mut keyframes) = (Self::default(), 0);
+        for position in (0..count).take_while(|_| !progress.is_cancelled()) {
+            match push(position) {
+                Ok(is_keyframe) => {
+                    given.positions.push(position);
+                    keyframes += usize::from(is_keyframe);
+                }
+                Err(why) => given.refused.push((position, why)),
+            }
+            progress.report(Stage::Tracking { keyframes }, position + 1, count);
+        }
+        given
+    }
+}
+
 /// Reads the picture at a position in the sequence.
-type BoxedLoader = Box<dyn FnMut(usize) -> Result<Frame, PictureError> + Send>;
+pub(crate) type BoxedLoader = Box<dyn FnMut(usize) -> Result<Frame, PictureError> + Send>;
 
 /// Posed frames between keyframes that are still to be delivered, and what reads their pictures.
 #[derive(Default)]
@@ -75,41 +108,28 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
         progress: &OdometryProgress,
     ) -> Result<Self, MonocularError> {
         let mut front_end = FrontEnd::new(intrinsics);
-        let (mut positions, mut refused, mut keyframes) = (Vec::new(), Vec::new(), 0);
-        for position in 0..count {
-            if progress.is_cancelled() {
-                break;
-            }
-            let pushed = load(position).and_then(|picture| {
-                let depth = depth_picture(&picture);
-                Ok(front_end.push(&picture.colour, picture.timestamp, depth.as_ref())?)
-            });
-            match pushed {
-                Ok(update) => {
-                    positions.push(position);
-                    keyframes += usize::from(update.is_keyframe);
-                }
-                Err(why) => refused.push((position, why)),
-            }
-            progress.report(Stage::Tracking { keyframes }, position + 1, count);
-        }
+        let given = GivenPictures::give(count, progress, |position| {
+            let picture = load(position)?;
+            let depth = depth_picture(&picture);
+            Ok(front_end.push(&picture.colour, picture.timestamp, depth.as_ref())?.is_keyframe)
+        });
         let found = match progress.is_cancelled() {
             true => Err(OdometryError::Cancelled),
             false => front_end.finish(progress.clone()),
         };
         match found {
-            Ok(reconstruction) => {
-                let reconstruction = match reconstruction.depth_model {
-                    Some(_) => reconstruction,
-                    None => reconstruction.scaled(MEDIAN_DEPTH),
-                };
-                let reader =
-                    PictureReader::new(keyframe_positions(&reconstruction, &positions), load);
-                let (dense, next, between) = (None, 0, FramesBetween::default());
-                Ok(Self { reconstruction, dense, reader, positions, refused, next, between })
-            }
-            Err(failure) => Err(MonocularError::NoPath { failure, refused }),
+            Ok(path) => Ok(Self::of_path(in_usual_unit(path), given, load)),
+            Err(failure) => Err(MonocularError::NoPath { failure, refused: given.refused }),
         }
+    }
+
+    /// Keyframes of a path through pictures that were given to the front end.
+    pub(crate) fn of_path(reconstruction: Reconstruction, given: GivenPictures, load: L) -> Self {
+        let GivenPictures { positions, refused } = given;
+        let reader = PictureReader::new(keyframe_positions(&reconstruction, &positions), load);
+        let coming = (0..reconstruction.keyframes.len()).collect();
+        let (dense, between) = (None, FramesBetween::default());
+        Self { reconstruction, dense, reader, positions, refused, coming, between }
     }
 
     /// Replaces the pictures by those of another size [px] without lens distortion, as camera and
@@ -119,10 +139,10 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
     where
         R: FnMut(usize) -> Result<Frame, PictureError>,
     {
-        let Self { reconstruction, dense, positions, refused, next, between, .. } = self;
+        let Self { reconstruction, dense, positions, refused, coming, between, .. } = self;
         let reconstruction = reconstruction.resized(width, height);
         let reader = PictureReader::new(keyframe_positions(&reconstruction, &positions), load);
-        MonocularSource { reconstruction, dense, reader, positions, refused, next, between }
+        MonocularSource { reconstruction, dense, reader, positions, refused, coming, between }
     }
 
     /// Delivers dense depth instead of landmarks alone, until `cancellation` is cancelled.
@@ -149,9 +169,18 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
         self
     }
 
+    /// Leaves out frames of the [reconstruction](Self::reconstruction) that a map has already.
+    #[must_use]
+    pub(crate) fn without_frames(mut self, frames: &BTreeSet<usize>) -> Self {
+        let keyframes = &self.reconstruction.keyframes;
+        self.coming.retain(|number| !frames.contains(&keyframes[*number].index));
+        self.between.frames.retain(|frame| !frames.contains(frame));
+        self
+    }
+
     /// Number of frames that are still to be delivered.
     pub fn remaining(&self) -> usize {
-        self.reconstruction.keyframes.len() - self.next + self.between.frames.len()
+        self.coming.len() + self.between.frames.len()
     }
 
     /// Posed frames of the reconstruction that are no keyframes, in order.
@@ -228,7 +257,8 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> KeyframeSource for Monocula
     }
 
     fn next_keyframe(&mut self) -> Option<Result<PosedKeyframe, PictureError>> {
-        let coming = self.reconstruction.keyframes.get(self.next).map(|keyframe| keyframe.index);
+        let keyframes = &self.reconstruction.keyframes;
+        let coming = self.coming.front().map(|number| keyframes[*number].index);
         let between = self.between.frames.front();
         match between.is_some_and(|frame| coming.is_none_or(|index| *frame < index)) {
             true => self.between.frames.pop_front().map(|frame| self.frame_between(frame)),
@@ -240,9 +270,8 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> KeyframeSource for Monocula
 impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
     /// The next keyframe.
     fn keyframe(&mut self) -> Option<Result<PosedKeyframe, PictureError>> {
-        let (number, found) = (self.next, &self.reconstruction);
-        let keyframe = found.keyframes.get(number)?;
-        self.next += 1;
+        let (number, found) = (self.coming.pop_front()?, &self.reconstruction);
+        let keyframe = &found.keyframes[number];
         let frame = match self.reader.next(number) {
             Ok(picture) => picture,
             Err(why) => return Some(Err(why)),
@@ -267,7 +296,8 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
         };
         let frame = load(place)?;
         let measured = measured_depth(found, index, &frame);
-        let near = self.next.min(found.keyframes.len().saturating_sub(1));
+        let next = found.keyframes.partition_point(|keyframe| keyframe.index < index);
+        let near = next.min(found.keyframes.len().saturating_sub(1));
         let depth = self.dense.as_mut().zip(measured).and_then(|(dense, measured)| {
             let mut pictures = |k: usize| pictures_of(found, &mut self.reader, k);
             dense.fuse(pose, near, &measured, &mut pictures)
@@ -288,6 +318,14 @@ fn pictures_of<L: FnMut(usize) -> Result<Frame, PictureError>>(
     Some(keyframe_pictures(found, keyframe, frame))
 }
 
+/// Lengths in metres where depth was measured, else with half the median landmark depth as unit.
+pub(crate) fn in_usual_unit(path: Reconstruction) -> Reconstruction {
+    match path.depth_model {
+        Some(_) => path,
+        None => path.scaled(MEDIAN_DEPTH),
+    }
+}
+
 /// Measured depth of a frame, if there is any.
 fn depth_picture(frame: &Frame) -> Option<DepthPicture<'_>> {
     let measured = frame.depth.as_ref()?;
@@ -306,7 +344,7 @@ pub(super) struct PictureReader<L> {
     load: L,
     /// Position of each keyframe in the sequence.
     positions: Vec<usize>,
-    /// Number of keyframes read so far.
+    /// Number of keyframes read or passed over so far.
     read: usize,
     pictures: BTreeMap<usize, Result<Frame, PictureError>>,
 }
@@ -336,6 +374,8 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> PictureReader<L> {
     }
 
     fn read_up_to(&mut self, keyframe: usize) {
+        // Those in between are out of reach, and many where most keyframes are not asked for.
+        self.read = self.read.max(keyframe.saturating_sub(CACHED));
         while self.read <= keyframe && self.read < self.positions.len() {
             self.pictures.insert(self.read, (self.load)(self.positions[self.read]));
             self.read += 1;

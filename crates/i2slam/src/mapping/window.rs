@@ -10,7 +10,8 @@ const PROBES: usize = 1600;
 /// Border of a keyframe that does not count, as a share of its width (SplaTAM: 20 px of 640).
 const BORDER: f64 = 20.0 / 640.0;
 
-/// The current frame, the last keyframe, and others that see part of the frame (SplaTAM's rule).
+/// The current frame, the last keyframe before it (in mid-sequence where there is none, the first after
+/// it), and others that see part of the frame (SplaTAM's rule).
 pub(super) fn overlapping_window(
     keyframes: &[Keyframe],
     current: &Keyframe,
@@ -20,14 +21,19 @@ pub(super) fn overlapping_window(
     random: &mut Random,
 ) -> Vec<Keyframe> {
     let mut window = vec![current.clone()];
-    let others: Vec<&Keyframe> = keyframes.iter().filter(|k| k.frame != current.frame).collect();
-    let Some((last, earlier)) = others.split_last() else { return window };
+    let mut others: Vec<&Keyframe> =
+        keyframes.iter().filter(|k| k.frame != current.frame).collect();
+    if others.is_empty() {
+        return window;
+    }
+    let last = others.partition_point(|k| k.frame < current.frame).saturating_sub(1);
+    let last = others.remove(last);
     if size > 1 {
-        window.push((*last).clone());
+        window.push(last.clone());
     }
     let points = random_points(current, frames, camera, random);
     let mut overlapping: Vec<&Keyframe> =
-        earlier.iter().copied().filter(|k| sees_any(&frames[k.frame], camera, &points)).collect();
+        others.into_iter().filter(|k| sees_any(&frames[k.frame], camera, &points)).collect();
     random.shuffle(&mut overlapping);
     window.extend(overlapping.into_iter().take(size.saturating_sub(2)).cloned());
     window

@@ -6,8 +6,8 @@ use super::observer::RunContext;
 use super::{RunOptions, RunOutcome, Stage, shortfall};
 use crate::config::{Parameters, TrackingMethod};
 use crate::keyframes::{PictureError, PosedKeyframe};
-use crate::reconstruction::Reconstruction;
-use crate::session::{Session, SessionError};
+use crate::reconstruction::{FrameEstimate, Reconstruction};
+use crate::session::{HoldOut, MappedFrames, Session, SessionError};
 use crate::warning::Warning;
 use i2slam_dataset::{Frame, Sequence};
 use i2slam_geometry::{Camera, Pose, StampedPose};
@@ -52,6 +52,8 @@ pub(super) struct Input<'a> {
     pub(super) frames_given: usize,
     pub(super) estimate: Option<CameraEstimate>,
     pub(super) undistorted: Option<Sequence>,
+    /// Frames that were mapped while they came; items are the others.
+    pub(super) mapped: Option<MappedFrames>,
 }
 
 /// Words and stages of a kind of items.
@@ -59,7 +61,7 @@ pub(super) struct ItemKind {
     /// Name in messages.
     name: &'static str,
     first: &'static str,
-    stage: Stage,
+    pub(super) stage: Stage,
     /// Stage after the last item.
     last_stage: Stage,
     session: fn(crate::Config, Camera<f64>, f64) -> Session,
@@ -100,6 +102,7 @@ impl<'a> Input<'a> {
             frames_given: sequence.len(),
             estimate: None,
             undistorted: None,
+            mapped: None,
         }
     }
 
@@ -122,27 +125,30 @@ pub(super) fn run<'a>(
 ) -> Result<RunOutcome, RunError> {
     let started = Instant::now();
     let mut input = catch_panic(open)?;
-    context.observer.progress(input.kind.stage, 0, input.count);
-    let mut config = options.config.clone().with_found_readout(input.readout);
-    if input.kind.stage == Stage::Frames && config.tracking.method == TrackingMethod::SecondOrder {
-        config.parameters = Parameters::tracked();
-    }
-    let steps = config.mapping.iterations * input.keyframes;
-    config.mapping.iterations = steps.div_ceil(input.count.max(1));
-    let mut session = (input.kind.session)(config, input.camera, input.frame_rate);
-    session.set_cancellation(context.cancellation.clone());
-    if let Some(valid_mask) = &input.undistorted.as_ref().unwrap_or(sequence).valid_mask {
-        session.set_valid_mask(Arc::clone(valid_mask));
-    }
+    let (mut session, hold_out, before, errors) = match input.mapped.take() {
+        Some(MappedFrames { session, hold_out, current, errors, .. }) => {
+            (session, hold_out, current.len(), errors)
+        }
+        None => {
+            let pictures = input.undistorted.as_ref().unwrap_or(sequence);
+            let source = ((input.camera, input.frame_rate), pictures);
+            let session = new_session(input.kind, options, context, source);
+            (session, HoldOut::default(), 0, Vec::new())
+        }
+    };
+    context.observer.progress(input.kind.stage, before, before + input.count);
+    session.set_found_readout(input.readout);
+    session.share_steps(&options.config, input.keyframes, before + input.count);
     // Where the frames between keyframes are localised, too, their tracking tells.
     let is_path =
         input.estimate.is_some() && options.config.tracking.method == TrackingMethod::Adam;
     let few_poses = is_path.then(|| shortfall::of_path(input.path.len(), input.frames_given));
     let none_usable = input.none_usable();
     let items = std::mem::replace(&mut input.items, Box::new(std::iter::empty()));
-    let (number, held_out, skipped) = (0, VecDeque::new(), 0);
+    let (held_out, skipped, first_error, latest) = (VecDeque::new(), 0, None, None);
     let mut driver =
-        Driver { session, input, context, number, held_out, skipped, first_error: None };
+        Driver { session, input, context, before, hold_out, held_out, skipped, first_error, latest };
+    errors.iter().for_each(|error| driver.leave_out(error));
     let mut problem = catch_panic(|| driver.process_all(items)).err();
     let cancelled = || context.cancellation.is_cancelled();
     if cancelled() {
@@ -159,7 +165,11 @@ pub(super) fn run<'a>(
     }
     driver.pass_warnings_on();
     let complete = problem.is_none() && !cancelled();
-    let Driver { session, input, number, skipped, .. } = driver;
+    let Driver { session, input, hold_out, skipped, .. } = driver;
+    let number = match input.kind.stage {
+        Stage::Frames => session.frames().len(),
+        _ => hold_out.frames(),
+    };
     let mut shortfalls = Vec::new();
     if complete {
         shortfalls.extend(shortfall::of_holding_out(
@@ -201,16 +211,40 @@ fn claim_deviations(found: &mut Reconstruction, deviations: &BTreeMap<usize, Pos
     }
 }
 
+/// A session of a source whose frames are all still to come, on a camera and a frame rate; a sequence
+/// has the mask.
+pub(super) fn new_session(
+    kind: &ItemKind,
+    options: &RunOptions,
+    context: &RunContext,
+    ((camera, frame_rate), sequence): ((Camera<f64>, f64), &Sequence),
+) -> Session {
+    let mut config = options.config.clone();
+    if kind.stage == Stage::Frames && config.tracking.method == TrackingMethod::SecondOrder {
+        config.parameters = Parameters::tracked();
+    }
+    let mut session = (kind.session)(config, camera, frame_rate);
+    session.set_cancellation(context.cancellation.clone());
+    if let Some(valid_mask) = &sequence.valid_mask {
+        session.set_valid_mask(Arc::clone(valid_mask));
+    }
+    session
+}
+
 struct Driver<'a, 'b> {
     session: Session,
     input: Input<'a>,
     context: &'b RunContext,
-    /// Number of frames so far, mapped or held out.
-    number: usize,
+    /// Frames in the map that came before the items.
+    before: usize,
+    /// Which keyframes are kept from the map.
+    hold_out: HoldOut,
     /// Keyframes kept from the map, in order.
     held_out: VecDeque<PosedKeyframe>,
     skipped: usize,
     first_error: Option<String>,
+    /// The last frame that was processed.
+    latest: Option<FrameEstimate>,
 }
 
 impl Driver<'_, '_> {
@@ -218,6 +252,7 @@ impl Driver<'_, '_> {
         &mut self,
         items: impl Iterator<Item = Result<Item, PictureError>>,
     ) -> Result<(), RunError> {
+        let before = self.before;
         for (done, item) in items.enumerate() {
             if self.context.cancellation.is_cancelled() {
                 return Ok(());
@@ -226,8 +261,8 @@ impl Driver<'_, '_> {
                 Ok(item) => self.process(item)?,
                 Err(error) => self.leave_out(&error),
             }
-            if let Some(estimate) = self.session.frames().last() {
-                self.context.observer.frame(estimate, done + 1, self.input.count);
+            if let Some(estimate) = &self.latest {
+                self.context.observer.frame(estimate, before + done + 1, before + self.input.count);
             }
         }
         Ok(())
@@ -236,24 +271,22 @@ impl Driver<'_, '_> {
     fn process(&mut self, item: Item) -> Result<(), RunError> {
         let (processed, of_file) = match item {
             Item::Frame(frame) => {
-                let processed = self.session.track(&frame).map(|_| ());
-                self.number = self.session.frames().len();
+                let processed = self.session.track(&frame).cloned();
                 (
                     processed,
                     frame.warnings.iter().map(|w| Warning::of_frame(frame.index, w)).collect(),
                 )
             }
             Item::Keyframe(keyframe) => {
-                self.number += 1;
-                if self.session.holds_out(self.number - 1) {
+                if self.hold_out.holds_out(keyframe.index, self.session.mapping_settings()) {
                     self.held_out.push_back(*keyframe);
                     return Ok(());
                 }
-                (self.session.add_keyframe(*keyframe).map(|_| ()), Vec::new())
+                (self.session.add_keyframe(*keyframe).cloned(), Vec::new())
             }
         };
         match processed {
-            Ok(()) => {}
+            Ok(estimate) => self.latest = Some(estimate),
             // No later frame can start the map either.
             Err(error @ SessionError::Map { .. }) => return Err(error.into()),
             Err(error) => self.leave_out(&error),

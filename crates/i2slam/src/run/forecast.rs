@@ -27,30 +27,46 @@ pub(super) struct Forecaster {
     sequence: Sequence,
     started: Instant,
     is_done: bool,
+    /// Measured before frames came, where they are mapped while they come.
+    pace: Option<RuntimeEstimate>,
 }
 
 impl Forecaster {
-    /// For a run that begins now.
+    /// For a run that begins now, and maps frames after the last one.
     pub(super) fn new(config: &Config, sequence: &Sequence) -> Self {
         let (config, sequence) = (config.clone(), sequence.clone());
-        Self { config, sequence, started: Instant::now(), is_done: false }
+        Self { config, sequence, started: Instant::now(), is_done: false, pace: None }
     }
 
-    /// The forecast, as soon as points were followed through enough of the pictures: through
-    /// `done`, of which `keyframes` became keyframes. Does a little of everything to time it.
+    /// For a run that begins now, and maps frames while they come.
+    pub(super) fn of_online(config: &Config, sequence: &Sequence) -> Self {
+        let mut forecaster = Self::new(config, sequence);
+        forecaster.pace = forecaster.measure();
+        Self { started: Instant::now(), ..forecaster }
+    }
+
+    /// The forecast, as soon as enough of the pictures were tracked, and mapped where this is done while
+    /// they come: `done`, of which `keyframes` became keyframes. Does a little of everything to time
+    /// it.
     pub(super) fn after(&mut self, done: usize, keyframes: usize) -> Option<RuntimeForecast> {
         let frames = self.sequence.len();
         if self.is_done || done < SAMPLE_FRAMES.min(frames) {
             return None;
         }
         self.is_done = true;
-        let following = self.started.elapsed().as_secs_f64() / done as f64 * frames as f64;
-        let camera = &self.sequence.camera;
-        let colour = self.sequence.load(0).ok()?.colour;
-        let pace =
-            RuntimeEstimate::measure(&self.config, camera, self.sequence.frame_rate, &colour)?;
+        let so_far = self.started.elapsed().as_secs_f64() / done as f64 * frames as f64;
         let keyframes = (keyframes * frames).div_ceil(done);
-        let seconds = following + pace.total(&self.config, keyframes, frames);
-        Some(RuntimeForecast { seconds, frames, keyframes, size: (camera.width, camera.height) })
+        let rest = match self.pace {
+            Some(pace) => pace.finish(&self.config, keyframes, frames),
+            None => self.measure()?.total(&self.config, keyframes, frames),
+        };
+        let size = (self.sequence.camera.width, self.sequence.camera.height);
+        Some(RuntimeForecast { seconds: so_far + rest, frames, keyframes, size })
+    }
+
+    fn measure(&self) -> Option<RuntimeEstimate> {
+        let Sequence { camera, frame_rate, .. } = &self.sequence;
+        let colour = self.sequence.load(0).ok()?.colour;
+        RuntimeEstimate::measure(&self.config, camera, *frame_rate, &colour)
     }
 }

@@ -6,11 +6,14 @@ use super::driver::{BetweenFrames, Input, Item, KEYFRAMES};
 use super::error::RunError;
 use super::forecast::Forecaster;
 use super::observer::{Observer, RunContext, Stage};
+use super::online;
 use crate::config::{MapKind, TrackingMethod};
 use crate::keyframes::{
-    self, ImportDepth, ImportOptions, Intrinsics, KeyframeSource, MonocularError, MonocularSource,
-    OdometryError, OdometryProgress, OdometryWarning, PictureError, RefinedImport, import,
+    self, BoxedLoader, ImportDepth, ImportOptions, Intrinsics, KeyframeSource, MonocularError,
+    MonocularSource, OdometryError, OdometryProgress, OdometryWarning, PictureError, RefinedImport,
+    import,
 };
+use crate::session::MappedFrames;
 use crate::warning::Warning;
 use i2slam_dataset::import::ImportedKeyframes;
 use i2slam_dataset::{DepthPicture, Frame, Sequence};
@@ -22,7 +25,13 @@ use std::sync::{Arc, Mutex};
 
 /// Longer side of the pictures for visual odometry, where they were recorded so large [px]:
 /// smaller ones, which a map may be made of, locate points less exactly.
-const ODOMETRY_SIDE: usize = 640;
+pub(super) const ODOMETRY_SIDE: usize = 640;
+
+/// Path of the camera, and the frames that were mapped while they came, if any.
+pub(super) struct FoundPath {
+    pub(super) source: MonocularSource<BoxedLoader>,
+    pub(super) mapped: Option<MappedFrames>,
+}
 
 /// Width and height of the pictures of a sequence that visual odometry sees [px]: larger than
 /// those delivered where these are small.
@@ -54,6 +63,7 @@ fn keyframes_of(
         frames_given: count,
         estimate: None,
         undistorted: None,
+        mapped: None,
     }
 }
 
@@ -66,8 +76,11 @@ pub(super) fn from_odometry(
     context: &RunContext,
 ) -> Result<Input<'static>, RunError> {
     let size = (sequence.camera.width, sequence.camera.height);
-    let found = find_path(sequence, estimate_distortion, options, context)?
-        .with_pictures(size, |place| picture(sequence, place));
+    let FoundPath { source, mapped } = match online::is_possible(sequence, options) {
+        true => online::find_path(sequence, options, context)?,
+        false => find_path(sequence, estimate_distortion, options, context)?,
+    };
+    let found = source.with_pictures(size, |place| picture(sequence, place));
     let camera = CameraEstimate::new(sequence, found.reconstruction());
     context.observer.camera(&camera);
     let undistorted = camera.lens.as_ref().map(|lens| sequence.with_estimated_camera(lens));
@@ -76,7 +89,7 @@ pub(super) fn from_odometry(
         sequence.warnings.iter().for_each(|warning| context.warn(warning.as_str()));
     }
     let pictures = Arc::new(undistorted.as_ref().unwrap_or(sequence).clone());
-    let (others, mapped) = (Arc::clone(&pictures), Arc::clone(&pictures));
+    let (others, between_keyframes) = (Arc::clone(&pictures), Arc::clone(&pictures));
     let source = found.with_pictures(size, move |place| picture(&pictures, place));
     let by_index = |(place, stamp, pose): (usize, f64, Pose<f64>)| {
         Some((sequence.entries.get(place)?.index, stamp, pose))
@@ -96,8 +109,12 @@ pub(super) fn from_odometry(
     // Their depth adds what keyframes do not see, and every exposure adds to the radiance.
     let is_measured = source.reconstruction().depth_model.is_some();
     let source = match is_measured && !is_paper && options.config.map.kind == MapKind::Gaussian {
-        true => source.with_frames_between(move |place| picture(&mapped, place)),
+        true => source.with_frames_between(move |place| picture(&between_keyframes, place)),
         false => source,
+    };
+    let source = match &mapped {
+        Some(mapped) => source.without_frames(&mapped.current),
+        None => source,
     };
     let (count, keyframes) = (source.remaining(), source.reconstruction().keyframes.len());
     let source = Box::new(source.with_dense_depth(context.cancellation.clone()));
@@ -110,6 +127,7 @@ pub(super) fn from_odometry(
         estimate: Some(camera),
         undistorted,
         deviations,
+        mapped,
         ..keyframes_of(source, count, sequence.frame_rate)
     })
 }
@@ -120,7 +138,7 @@ fn find_path(
     estimate_distortion: bool,
     options: &RunOptions,
     context: &RunContext,
-) -> Result<MonocularSource<impl FnMut(usize) -> Result<Frame, PictureError> + use<>>, RunError> {
+) -> Result<FoundPath, RunError> {
     let large = sequence.at_least(ODOMETRY_SIDE);
     let intrinsics = match (sequence.camera_is_guess, estimate_distortion) {
         (true, true) => Intrinsics::GuessWithDistortion(large.camera),
@@ -130,15 +148,14 @@ fn find_path(
     let count = large.len();
     let odometry_progress =
         odometry_progress(context, Some(Forecaster::new(&options.config, sequence)));
-    let load = move |place: usize| picture(&large, place);
-    MonocularSource::find(intrinsics, count, load, &odometry_progress).map_err(
-        |error| match error {
-            MonocularError::NoPath { failure: OdometryError::Cancelled, .. } => {
-                RunError::Cancelled { before: "the path of the camera was found" }
-            }
-            error => RunError::NoPath(error),
-        },
-    )
+    let load: BoxedLoader = Box::new(move |place| picture(&large, place));
+    match MonocularSource::find(intrinsics, count, load, &odometry_progress) {
+        Ok(source) => Ok(FoundPath { source, mapped: None }),
+        Err(MonocularError::NoPath { failure: OdometryError::Cancelled, .. }) => {
+            Err(RunError::Cancelled { before: "the path of the camera was found" })
+        }
+        Err(error) => Err(RunError::NoPath(error)),
+    }
 }
 
 /// Passes the progress of visual odometry on, and a forecast as soon as there is one.
@@ -179,7 +196,7 @@ where
 }
 
 /// The picture at a place of a sequence.
-fn picture(sequence: &Sequence, place: usize) -> Result<Frame, PictureError> {
+pub(super) fn picture(sequence: &Sequence, place: usize) -> Result<Frame, PictureError> {
     Ok(sequence.load(place)?)
 }
 

@@ -18,6 +18,7 @@ mod forecast;
 mod keyframes;
 mod memory;
 mod observer;
+mod online;
 mod shortfall;
 
 pub use camera::CameraEstimate;

@@ -13,6 +13,8 @@ use std::sync::{Arc, Mutex};
 pub enum Stage {
     /// Visual odometry; its stages may come in turns.
     Odometry(keyframes::Stage),
+    /// Visual odometry and mapping of frames while they come; counts tracked frames.
+    Online,
     /// Tracking and mapping of frames with depth; counts frames.
     Frames,
     /// Mapping of keyframes; counts keyframes.
@@ -34,6 +36,7 @@ impl Stage {
             Self::Odometry(keyframes::Stage::BundleAdjustment) => "adjusting camera poses",
             Self::Odometry(keyframes::Stage::RollingShutter) => "measuring the rolling shutter",
             Self::Odometry(keyframes::Stage::LoopClosure) => "closing loops",
+            Self::Online => "tracking and mapping",
             Self::Frames => "frames",
             Self::Keyframes => "keyframes",
             Self::MapRefinement => "refining the map",

@@ -3,6 +3,7 @@
 mod correction;
 mod error;
 mod frame_tracker;
+mod hold_out;
 mod online;
 mod posed;
 mod runtime_estimate;
@@ -10,6 +11,8 @@ mod state;
 mod tracked;
 
 pub use error::SessionError;
+pub(crate) use hold_out::HoldOut;
+pub(crate) use online::{MappedFrames, OnlineMapping};
 pub use online::{MappingPanicked, OnlineError, OnlineSession, OnlineUpdate};
 pub use runtime_estimate::RuntimeEstimate;
 
@@ -135,6 +138,12 @@ impl Session {
             self.config = self.config.clone().with_found_readout(seconds);
             self.tracker.readout = SequenceReadout::new(&self.config.input);
         }
+    }
+
+    /// Shares the steps that a configuration gives `keyframes` among `count` frames.
+    pub(crate) fn share_steps(&mut self, config: &Config, keyframes: usize, count: usize) {
+        let steps = config.mapping.iterations * keyframes;
+        self.config.mapping.iterations = steps.div_ceil(count.max(1));
     }
 
     /// Settings of mapping.

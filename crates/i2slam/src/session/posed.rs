@@ -12,7 +12,7 @@ use crate::reconstruction::FrameEstimate;
 use i2slam_formation::{FrameTone, ShutterPoses};
 use i2slam_geometry::{Image, Pose, Tangent};
 use i2slam_odometry::blank_reason;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -59,7 +59,8 @@ impl Session {
     }
 
     /// Adds one keyframe, or a frame between keyframes, and refines map, poses and tone for some
-    /// steps.
+    /// steps. Frames stay in order of their indices; one that is known is replaced with what it
+    /// brought into a map of Gaussians.
     ///
     /// # Errors
     ///
@@ -76,11 +77,14 @@ impl Session {
         let (before, after) = (keyframe.before.map(relative), keyframe.after.map(relative));
         let adjacent = AdjacentFrames { before, after };
         let is_keyframe = keyframe.is_keyframe;
-        let (mut estimate, observation) = self.initial_estimate(keyframe, adjacent);
-        let position = self.state.frames.len();
+        if self.position_of(keyframe.index).is_ok() {
+            self.forget(&BTreeSet::from([keyframe.index]));
+        }
+        let position = self.state.frames.partition_point(|f| f.index < keyframe.index);
+        let (mut estimate, observation) = self.initial_estimate(position, keyframe, adjacent);
         let maps = estimate.keyframe;
         estimate.keyframe &= is_keyframe;
-        self.state.frames.push(estimate);
+        self.insert(position, estimate);
         if position == 1 {
             self.initialize_first_exposure();
         }
@@ -106,7 +110,9 @@ impl Session {
             self.state.frames[position] = estimate;
         }
         if self.state.frames[position].keyframe {
-            self.state.keyframes.push(keyframe.clone());
+            let keyframes = &mut self.state.keyframes;
+            let place = keyframes.partition_point(|k| k.frame < position);
+            keyframes.insert(place, keyframe.clone());
         }
         self.map(&keyframe)?;
         self.state.frames[position].gaussians = self.mapper.gaussians();
@@ -133,9 +139,11 @@ impl Session {
         }
     }
 
-    /// Estimate and observation of a keyframe before refinement.
+    /// Estimate and observation of a keyframe before refinement, with the tone of the frame before
+    /// its position.
     fn initial_estimate(
         &mut self,
+        position: usize,
         keyframe: PosedKeyframe,
         adjacent: AdjacentFrames,
     ) -> (FrameEstimate, Arc<Observation>) {
@@ -157,34 +165,35 @@ impl Session {
                 Some(variance) => Observation::estimated(colour, estimated.depth, variance),
             },
         };
-        let response = self.next_response();
-        let last = self.state.frames.last();
+        let response = self.response_at(position);
+        let previous = self.state.frames[..position].last();
         let mut estimate = FrameEstimate {
-            tone: last.map_or_else(FrameTone::default, |f| f.tone),
+            tone: previous.map_or_else(FrameTone::default, |f| f.tone),
             response,
             keyframe: blank.is_none(),
             ..FrameEstimate::at_pose(index, timestamp, ShutterPoses::still(world_from_camera))
         };
         let known = adjacent.motion_per_interval(timestamp, self.frame_rate);
-        let from_last = || {
-            let adjacent = AdjacentFrames::from_neighbour(&estimate, last?);
+        let from_previous = || {
+            let adjacent = AdjacentFrames::from_neighbour(&estimate, previous?);
             adjacent.motion_per_interval(timestamp, self.frame_rate)
         };
-        if let Some(motion) = known.or_else(from_last) {
+        if let Some(motion) = known.or_else(from_previous) {
             estimate.shutter = self.initial_shutter(&estimate, motion);
         }
         (estimate, Arc::new(observation))
     }
 
-    /// Index of the next keyframe's response: the sequence's, or its own, a copy of the last.
-    fn next_response(&mut self) -> usize {
+    /// Index of the response of a keyframe to be added at a position: the sequence's, or its own, a
+    /// copy of that of the frame before.
+    fn response_at(&mut self, position: usize) -> usize {
         let SessionState { frames, responses, .. } = &mut self.state;
-        let last = responses.len() - 1;
         if frames.is_empty() || self.config.formation.response_scope == ResponseScope::Sequence {
-            return last;
+            return responses.len() - 1;
         }
-        responses.push(responses[last].clone());
-        last + 1
+        let previous = frames[..position].last().map_or(0, |frame| frame.response);
+        responses.push(responses[previous].clone());
+        responses.len() - 1
     }
 
     /// Initialises the first exposure's motion from the second frame, if it has none.

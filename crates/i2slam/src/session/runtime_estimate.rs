@@ -61,12 +61,18 @@ impl RuntimeEstimate {
 
     /// Time of `keyframes` keyframes among `frames` frames whose poses are known [s].
     pub fn total(&self, config: &Config, keyframes: usize, frames: usize) -> f64 {
-        let (per_keyframe, last) = steps(config, keyframes);
+        let (per_keyframe, _) = steps(config, keyframes);
+        let each = self.dense_depth + self.keyframe + per_keyframe * self.step;
+        keyframes as f64 * each + self.finish(config, keyframes, frames)
+    }
+
+    /// Time after `keyframes` keyframes among `frames` frames were mapped [s].
+    pub fn finish(&self, config: &Config, keyframes: usize, frames: usize) -> f64 {
+        let (_, last) = steps(config, keyframes);
         let (keyframes, frames) = (keyframes as f64, frames as f64);
-        let mapping = keyframes * (self.dense_depth + self.keyframe + per_keyframe * self.step);
         let localizations =
             relocalizations(config) as f64 * keyframes + (frames - keyframes).max(0.0);
-        mapping + last * self.step + localizations * self.frame
+        last * self.step + localizations * self.frame
     }
 }
 

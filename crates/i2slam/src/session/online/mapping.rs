@@ -1,7 +1,9 @@
 //! Frames on their way from the front end to the map.
 
-use super::super::Session;
-use super::queue::{BetweenJob, Job, KeyframeJob, MappingPanicked, MappingQueue};
+use super::super::hold_out::HoldOut;
+use super::super::{Session, SessionError};
+use super::queue::{BetweenJob, Job, KeyframeJob, MappingPanicked, MappingQueue, OnMapped};
+use super::registration::{Registration, image_speed};
 use crate::config::{MapKind, MappingConfig};
 use crate::keyframes::PosedKeyframe;
 use crate::keyframes::delivery::{MEDIAN_DEPTH, keyframe_pictures, measured_depth, posed};
@@ -20,7 +22,7 @@ const MAX_WAITING: usize = 64;
 /// A frame is mapped when the frame after it has come: its motion is known then, and the landmarks
 /// of a keyframe. What is sent to the map, and in which order, depends on the frames alone, so that
 /// the map does not depend on when its thread works.
-pub(super) struct OnlineMapping {
+pub(crate) struct OnlineMapping {
     queue: MappingQueue,
     /// Width and height of the pictures that are mapped [px].
     size: (usize, usize),
@@ -33,14 +35,21 @@ pub(super) struct OnlineMapping {
     /// Every frame in the map, by its number in the front end.
     sent: BTreeMap<usize, SentFrame>,
     keyframes: usize,
-    /// Frames and keyframes so far that could be mapped.
-    items: usize,
+    hold_out: HoldOut,
+    /// Offset of depth that frames are mapped with until the next keyframe.
+    registration: Registration,
 }
 
-/// The session with the map, and the final path in its world.
-pub(super) struct Finished {
-    pub(super) session: Session,
-    pub(super) path: Reconstruction,
+/// What was mapped while frames came.
+pub(crate) struct MappedFrames {
+    pub(crate) session: Session,
+    /// The path in world and unit of length of the map.
+    pub(crate) path: Reconstruction,
+    /// Numbers in the front end of the frames in the map, without those to be mapped anew.
+    pub(crate) current: BTreeSet<usize>,
+    pub(crate) hold_out: HoldOut,
+    /// Errors of frames that could not be used.
+    pub(crate) errors: Vec<SessionError>,
 }
 
 /// A frame in the map.
@@ -48,6 +57,7 @@ struct SentFrame {
     index: usize,
     /// As last sent.
     pose: Pose<f64>,
+    registration: Registration,
 }
 
 struct WaitingFrame {
@@ -85,19 +95,20 @@ impl Gauge {
 
 impl OnlineMapping {
     /// Maps with a session on keyframes with poses.
-    pub(super) fn new(mut session: Session) -> Self {
+    pub(super) fn new(mut session: Session, on_mapped: OnMapped) -> Self {
         session.keep_world();
         let (width, height) = (session.camera.width, session.camera.height);
         Self {
             size: (width, height),
             maps_between: session.config.map.kind == MapKind::Gaussian,
             mapping: session.config.mapping.clone(),
-            queue: MappingQueue::new(session),
+            queue: MappingQueue::new(session, on_mapped),
             waiting: VecDeque::new(),
             gauge: None,
             sent: BTreeMap::new(),
             keyframes: 0,
-            items: 0,
+            hold_out: HoldOut::default(),
+            registration: Registration::default(),
         }
     }
 
@@ -185,8 +196,7 @@ impl OnlineMapping {
             return;
         }
         self.keyframes += usize::from(is_keyframe);
-        self.items += 1;
-        if self.mapping.holds_out(self.items - 1) {
+        if self.hold_out.holds_out(index, &self.mapping) {
             return;
         }
         let readout = path.rolling_shutter_readout;
@@ -195,6 +205,7 @@ impl OnlineMapping {
             let found = gauge.place(front_end.path_so_far(Some(number)));
             let found = found.resized(self.size.0, self.size.1);
             let Some(keyframe) = found.keyframes.first().cloned() else { return };
+            self.registration = Registration::of(&found);
             Job::Keyframe(Box::new(KeyframeJob {
                 pictures: keyframe_pictures(&found, &keyframe, &picture),
                 posed: posed(&found, number, picture, pose),
@@ -209,7 +220,8 @@ impl OnlineMapping {
             let posed = PosedKeyframe { is_keyframe: false, ..posed };
             Job::Between(Box::new(BetweenJob { posed, measured, readout, steps }))
         };
-        self.sent.insert(number, SentFrame { index, pose });
+        let registration = self.registration.between_keyframes(path);
+        self.sent.insert(number, SentFrame { index, pose, registration });
         self.queue.send(job);
     }
 
@@ -227,42 +239,62 @@ impl OnlineMapping {
         Some(gauge.world * Pose { translation: pose.translation * gauge.scale, ..pose })
     }
 
+    /// Number of frames that were sent to the map.
+    pub(crate) fn sent(&self) -> usize {
+        self.sent.len()
+    }
+
+    /// True if lengths of the map have the unit of those of a path, or will get it: metres, or a unit
+    /// that pictures without depth leave free.
+    pub(crate) fn has_unit_of(&self, path: &Reconstruction) -> bool {
+        self.gauge.is_none_or(|gauge| gauge.is_metric == path.depth_model.is_some())
+    }
+
     /// Waits until all frames are mapped, and corrects the map to the final path, which is returned
-    /// in the world of the map. Frames that are lost in the end leave the map.
-    pub(super) fn finish(self, found: Reconstruction) -> Result<Finished, MappingPanicked> {
-        let path = self.placed_at_the_end(found);
+    /// in the world of the map: the camera of the first keyframe. Frames that are lost in the end leave
+    /// the map.
+    pub(crate) fn finish(self, path: Reconstruction) -> Result<MappedFrames, MappingPanicked> {
+        let path = self.placed_at_the_end(path);
         let pose_of = |number: usize| path.poses.get(number).copied().flatten();
         let sent = || self.sent.iter().map(|(number, sent)| (sent.index, pose_of(*number)));
         let poses = sent().filter_map(|(index, pose)| Some((index, pose?)));
         self.queue.send(Job::Correct(poses.collect()));
         let lost: BTreeSet<usize> =
             sent().filter(|(_, pose)| pose.is_none()).map(|(index, _)| index).collect();
+        let current = self.current(&path);
         let (mut session, errors) = self.queue.finish()?;
         session.forget(&lost);
-        let warnings = errors.iter().map(|error| error.to_string().into());
-        session.state.warnings.extend(warnings);
         session.config.mapping = self.mapping;
-        Ok(Finished { session, path })
+        Ok(MappedFrames { session, path, current, hold_out: self.hold_out, errors })
     }
 
-    /// The final path in world and unit of the map: where the first mapped frame was, and without
-    /// depth with the length of the path through mapped frames.
+    /// Frames in the map with rows and depth where the final path has them.
+    fn current(&self, path: &Reconstruction) -> BTreeSet<usize> {
+        let path = path.clone().resized(self.size.0, self.size.1);
+        let (now, depth) = (Registration::of(&path), path.median_depth().unwrap_or(f64::INFINITY));
+        let is_current = |(number, sent): &(&usize, &SentFrame)| {
+            let is_posed = path.poses.get(**number).is_some_and(Option::is_some);
+            is_posed && !sent.registration.is_outdated(&now, image_speed(&path, **number, depth))
+        };
+        self.sent.iter().filter(is_current).map(|(number, _)| *number).collect()
+    }
+
+    /// The final path in the unit of the map, without depth with the length of the path through mapped
+    /// frames.
     fn placed_at_the_end(&self, found: Reconstruction) -> Reconstruction {
         let known = |(number, sent): (&usize, &SentFrame)| {
             Some((sent.pose, found.poses.get(*number).copied().flatten()?))
         };
         let (were, are): (Vec<Pose<f64>>, Vec<Pose<f64>>) =
             self.sent.iter().filter_map(known).unzip();
-        let Some((sent, now)) = were.first().copied().zip(are.first().copied()) else {
-            return found;
-        };
-        let ratio = reach(&were) / reach(&are);
-        let is_metric = found.depth_model.is_some() && self.gauge.is_some_and(|g| g.is_metric);
-        let is_scaled = !is_metric && ratio.is_finite() && ratio > 0.0;
-        let scale = if is_scaled { ratio } else { 1.0 };
-        let now = Pose { translation: now.translation * scale, ..now };
+        let ratio = Some(reach(&were) / reach(&are)).filter(|r| r.is_finite() && *r > 0.0);
+        let is_metric = found.depth_model.is_some() && self.gauge.is_none_or(|g| g.is_metric);
+        let scale = if is_metric { 1.0 } else { ratio.unwrap_or(MEDIAN_DEPTH) };
         let mut placed = found.scaled(scale);
-        placed.transform(&(sent * now.inverse()));
+        let first_keyframe = placed.keyframes.first().map(|keyframe| keyframe.world_from_camera);
+        if let Some(first) = first_keyframe.or(placed.poses.iter().copied().flatten().next()) {
+            placed.transform(&first.inverse());
+        }
         placed
     }
 }

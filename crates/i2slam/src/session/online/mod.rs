@@ -3,19 +3,20 @@
 
 mod mapping;
 mod queue;
+mod registration;
 
+pub(crate) use mapping::{MappedFrames, OnlineMapping};
 pub use queue::MappingPanicked;
 
 use super::Session;
 use crate::config::Config;
-use crate::keyframes::OdometryProgress;
-use crate::reconstruction::Reconstruction;
+use crate::keyframes::{OdometryProgress, OdometryReconstruction};
+use crate::reconstruction::{FrameEstimate, Reconstruction};
 use i2slam_dataset::Frame;
 use i2slam_geometry::{Camera, Image, Pose, StampedPose};
 use i2slam_odometry::{
     DepthPicture, FrontEnd, Intrinsics, OdometryError, PictureError, TrackingStatus,
 };
-use mapping::{Finished, OnlineMapping};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -71,10 +72,19 @@ pub struct OnlineUpdate {
 impl OnlineSession {
     /// A session on frames of `camera`, taken from a video of `frame_rate` frames per second.
     pub fn new(config: Config, camera: Camera<f64>, frame_rate: f64) -> Self {
-        let session = Session::refining(config, camera, frame_rate);
+        Self::of(Session::refining(config, camera, frame_rate), camera, |_| {})
+    }
+
+    /// Maps in `session` what is tracked in pictures of the camera `tracked`, which may be larger.
+    /// `on_mapped` sees every frame that was mapped, on the thread of the map.
+    pub(crate) fn of(
+        session: Session,
+        tracked: Camera<f64>,
+        on_mapped: impl FnMut(&FrameEstimate) + Send + 'static,
+    ) -> Self {
         Self {
-            front_end: FrontEnd::new(Intrinsics::Known(camera)),
-            mapping: OnlineMapping::new(session),
+            front_end: FrontEnd::new(Intrinsics::Known(tracked)),
+            mapping: OnlineMapping::new(session, Box::new(on_mapped)),
             indices: Vec::new(),
             online: Vec::new(),
         }
@@ -94,14 +104,23 @@ impl OnlineSession {
     /// A frame that does not fit the camera, or whose time stamp does not follow: the session stays
     /// as it was.
     pub fn push(&mut self, frame: Frame) -> Result<OnlineUpdate, PictureError> {
-        let (index, timestamp) = (frame.index, frame.timestamp);
-        let depth = frame
+        self.push_sizes(&frame.clone(), frame)
+    }
+
+    /// [`push`](Self::push) of a frame in the sizes that are tracked and mapped.
+    pub(crate) fn push_sizes(
+        &mut self,
+        tracked: &Frame,
+        mapped: Frame,
+    ) -> Result<OnlineUpdate, PictureError> {
+        let (index, timestamp) = (tracked.index, tracked.timestamp);
+        let depth = tracked
             .depth
             .as_ref()
             .map(|depth| DepthPicture { depth: &depth.image, timestamp: depth.timestamp });
-        let update = self.front_end.push(&frame.colour, timestamp, depth.as_ref())?;
+        let update = self.front_end.push(&tracked.colour, timestamp, depth.as_ref())?;
         self.indices.push(index);
-        let corrections = self.mapping.add_frame(&self.front_end, &update, frame);
+        let corrections = self.mapping.add_frame(&self.front_end, &update, mapped);
         let world_from_camera = update.pose.and_then(|pose| self.mapping.placed(pose));
         self.online.extend(
             world_from_camera.map(|world_from_camera| StampedPose { timestamp, world_from_camera }),
@@ -130,7 +149,8 @@ impl OnlineSession {
         on_step: &mut dyn FnMut(usize, usize) -> bool,
     ) -> Result<Reconstruction, OnlineError> {
         let found = self.front_end.finish(OdometryProgress::default())?;
-        let Finished { mut session, path } = self.mapping.finish(found)?;
+        let MappedFrames { mut session, path, errors, .. } = self.mapping.finish(found)?;
+        session.state.warnings.extend(errors.iter().map(|error| error.to_string().into()));
         session.finish(on_step);
         let poses = path.poses.iter().zip(&path.timestamps);
         for (index, (pose, stamp)) in self.indices.iter().zip(poses) {
@@ -139,6 +159,24 @@ impl OnlineSession {
             }
         }
         Ok(Reconstruction { online_trajectory: self.online, ..session.reconstruction() })
+    }
+
+    /// Adjusts all poses together; the path so far once `progress` is cancelled. Mapping goes on
+    /// meanwhile.
+    pub(crate) fn into_path(
+        self,
+        progress: &OdometryProgress,
+    ) -> Result<(OdometryReconstruction, OnlineMapping), OdometryError> {
+        let so_far = self.front_end.path_so_far(None);
+        let found = match progress.is_cancelled() {
+            true => Err(OdometryError::Cancelled),
+            false => self.front_end.finish(progress.clone()),
+        };
+        let path = match found {
+            Err(OdometryError::Cancelled) => so_far,
+            found => found?,
+        };
+        Ok((path, self.mapping))
     }
 }
 

@@ -3,6 +3,7 @@
 use super::super::{Session, SessionError};
 use crate::keyframes::PosedKeyframe;
 use crate::keyframes::delivery::{depth, into_estimated, posed_view};
+use crate::reconstruction::FrameEstimate;
 use i2slam_geometry::Pose;
 use i2slam_odometry::{DenseDepthEstimator, DepthModel, Keyframe, KeyframePictures, MeasuredDepth};
 use std::collections::{BTreeMap, VecDeque};
@@ -57,6 +58,9 @@ pub(super) struct BetweenJob {
 #[error("mapping ended by an internal error: please report it with the frames that led to it")]
 pub struct MappingPanicked;
 
+/// Sees every frame that was mapped, on the thread of the map.
+pub(crate) type OnMapped = Box<dyn FnMut(&FrameEstimate) + Send>;
+
 /// Jobs for a session on a thread of its own.
 pub(super) struct MappingQueue {
     session: Arc<Mutex<Session>>,
@@ -68,7 +72,7 @@ pub(super) struct MappingQueue {
 }
 
 impl MappingQueue {
-    pub(super) fn new(session: Session) -> Self {
+    pub(super) fn new(session: Session, on_mapped: OnMapped) -> Self {
         let dense = dense_estimator(&session);
         let session = Arc::new(Mutex::new(session));
         let (jobs, receiver) = sync_channel(MAX_WAITING);
@@ -81,6 +85,7 @@ impl MappingQueue {
             pictures: BTreeMap::new(),
             waiting: VecDeque::new(),
             errors: Vec::new(),
+            on_mapped,
         };
         let thread = std::thread::spawn(move || worker.run(&receiver));
         Self { session, jobs: Some(jobs), thread: Some(thread), is_dropped }
@@ -137,6 +142,7 @@ struct Worker {
     /// Keyframes that wait for later ones, with their numbers.
     waiting: VecDeque<(usize, Box<KeyframeJob>)>,
     errors: Vec<SessionError>,
+    on_mapped: OnMapped,
 }
 
 impl Worker {
@@ -217,9 +223,12 @@ impl Worker {
         }
         session.set_found_readout(readout);
         session.config.mapping.iterations = steps;
-        let added = session.add_keyframe(posed).map(|_| ());
+        let added = session.add_keyframe(posed).cloned();
         drop(session);
-        self.errors.extend(added.err());
+        match added {
+            Ok(estimate) => (self.on_mapped)(&estimate),
+            Err(error) => self.errors.push(error),
+        }
     }
 
     /// Corrects the map, and keyframes that wait for it or that depth is fused with.
