@@ -50,12 +50,19 @@ struct Phase {
     name: &'static str,
     /// Number of its steps; 0 if unknown.
     total: usize,
+    /// Steps that were done before.
+    first: usize,
     started: Instant,
 }
 
 impl Phase {
-    fn new(name: &'static str, total: usize) -> Self {
-        Self { name, total, started: Instant::now() }
+    fn new(name: &'static str, first: usize, total: usize) -> Self {
+        Self { name, total, first, started: Instant::now() }
+    }
+
+    /// True if frames are mapped in it.
+    fn maps_frames(&self) -> bool {
+        [Stage::Online, Stage::Frames, Stage::Keyframes].iter().any(|s| s.name() == self.name)
     }
 
     /// Expected time for the remaining steps in words, once it can be extrapolated.
@@ -68,7 +75,7 @@ impl Phase {
     }
 
     fn seconds_per_step(&self, done: usize) -> f64 {
-        self.started.elapsed().as_secs_f64() / done.max(1) as f64
+        self.started.elapsed().as_secs_f64() / done.saturating_sub(self.first).max(1) as f64
     }
 }
 
@@ -83,7 +90,7 @@ impl Progress {
             let last = Arc::new(Mutex::new(Instant::now()));
             Display::Lines(Lines { last, named: Arc::default() })
         };
-        let phase = Arc::new(Mutex::new(Phase::new("frames", total)));
+        let phase = Arc::new(Mutex::new(Phase::new("frames", 0, total)));
         Self { display, phase, is_adjustable: true }
     }
 
@@ -97,7 +104,7 @@ impl Progress {
     pub(crate) fn step(&self, name: &'static str, done: usize, total: usize) {
         let Ok(mut phase) = self.phase.lock() else { return };
         if name != phase.name {
-            *phase = Phase::new(name, total);
+            *phase = Phase::new(name, done, total);
             match &self.display {
                 Display::Bar(bar) => show(bar, &phase),
                 Display::Lines(lines) => lines.name_once(name),
@@ -154,6 +161,10 @@ impl Observer for Progress {
 
     fn frame(&self, estimate: &FrameEstimate, done: usize, total: usize) {
         let Ok(phase) = self.phase.lock() else { return };
+        // Frames are mapped beside the adjustment of the path, too.
+        if !phase.maps_frames() {
+            return;
+        }
         let seconds = phase.seconds_per_step(done);
         let size = match estimate.gaussians {
             0 => String::new(),
@@ -165,11 +176,11 @@ impl Observer for Progress {
         );
         match &self.display {
             Display::Bar(bar) => {
-                bar.set_position(done as u64);
+                bar.set_position(bar.position().max(done as u64));
                 bar.set_message(figures);
             }
             Display::Lines(lines) if lines.is_due() || done == total => {
-                let (name, left) = (phase.name, seconds * (total - done) as f64);
+                let (name, left) = (phase.name, seconds * total.saturating_sub(done) as f64);
                 print_status(&format!(
                     "{name} {done}/{total}  {figures}  {left:.0} s left of these"
                 ));
@@ -225,7 +236,7 @@ impl Lines {
 
 fn bar(total: usize) -> ProgressBar {
     let bar = ProgressBar::new(total as u64);
-    show(&bar, &Phase::new("frames", total));
+    show(&bar, &Phase::new("frames", 0, total));
     bar
 }
 

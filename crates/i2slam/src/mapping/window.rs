@@ -113,3 +113,36 @@ fn sees_any(frame: &FrameEstimate, camera: &Camera<f64>, points: &[Vec3<f64>]) -
         }
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mapping::AdjacentFrames;
+    use crate::objective::Observation;
+    use i2slam_formation::ShutterPoses;
+    use i2slam_geometry::Pose;
+    use std::sync::Arc;
+
+    /// In mid-sequence the neighbour of a frame is the keyframe before it.
+    #[test]
+    fn a_window_has_the_keyframe_before_its_frame() {
+        let camera = Camera { width: 8, height: 8, fx: 8.0, fy: 8.0, cx: 4.0, cy: 4.0 };
+        let blank = Observation::new(Image::new(8, 8, 3), Image::new(8, 8, 1));
+        let (observation, adjacent) = (Arc::new(blank), AdjacentFrames::default());
+        let keyframe = |frame| Keyframe { frame, observation: Arc::clone(&observation), adjacent };
+        let still = ShutterPoses::still(Pose::identity());
+        let frames: Vec<FrameEstimate> =
+            (0..6).map(|index| FrameEstimate::at_pose(index, 0.0, still)).collect();
+        let window = |known: &[usize], current: usize| -> Vec<usize> {
+            let known: Vec<Keyframe> = known.iter().copied().map(keyframe).collect();
+            let (current, mut random) = (keyframe(current), Random::new(1));
+            let window = overlapping_window(&known, &current, &frames, &camera, 2, &mut random);
+            window.iter().map(|keyframe| keyframe.frame).collect()
+        };
+        assert_eq!(window(&[0, 2, 4, 5], 5), [5, 4]);
+        assert_eq!(window(&[0, 2, 4, 5], 3), [3, 2]);
+        assert_eq!(window(&[0, 2, 4, 5], 2), [2, 0]);
+        assert_eq!(window(&[0, 2, 4, 5], 0), [0, 2]);
+        assert_eq!(window(&[], 0), [0]);
+    }
+}

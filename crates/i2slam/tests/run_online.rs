@@ -1,0 +1,165 @@
+//! Runs that map frames while they come, on the first pictures of the demo clip.
+
+use i2slam::dataset::Sequence;
+use i2slam::run::Stage;
+use i2slam::{CancellationToken, FrameEstimate, Observer, RunOptions, RunOutcome, reconstruct};
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+const FRAMES: usize = 14;
+/// Frames that are mapped before more than [`TRACKED`] come.
+const MAPPED: usize = 3;
+const TRACKED: usize = 10;
+
+/// Small pictures and few steps.
+fn options() -> RunOptions {
+    let mut options = RunOptions::with_depth();
+    options.open.frames = Some(0..FRAMES);
+    options.open.max_side = Some(160);
+    options.config.mapping.first_iterations = 10;
+    options.config.mapping.iterations = 3;
+    options.config.mapping.final_iterations = 5;
+    options
+}
+
+fn sequence(options: &RunOptions) -> Sequence {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets/demo");
+    options.open_sequence(&folder).expect("the demo clip")
+}
+
+/// Keeps what it sees; lets [`TRACKED`] frames come, and others when [`MAPPED`] are mapped.
+#[derive(Clone, Default)]
+struct Recorder {
+    stages: Arc<Mutex<Vec<Stage>>>,
+    /// Index and count of every frame that was mapped.
+    frames: Arc<Mutex<Vec<(usize, usize, usize)>>>,
+    forecasts: Arc<AtomicUsize>,
+    cancelled: Arc<AtomicBool>,
+    cancels_in: Option<fn(Stage) -> bool>,
+    panics: Arc<AtomicBool>,
+}
+
+impl Recorder {
+    fn mapped(&self) -> usize {
+        self.frames.lock().expect("no panic").len()
+    }
+
+    fn wait_for_the_map(&self) {
+        let begun = Instant::now();
+        while self.mapped() < MAPPED && !self.panics.load(Ordering::SeqCst) {
+            assert!(begun.elapsed() < Duration::from_secs(60), "nothing is mapped");
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+}
+
+impl Observer for Recorder {
+    fn progress(&self, stage: Stage, done: usize, _total: usize) {
+        self.stages.lock().expect("no panic").push(stage);
+        if stage == Stage::Online && done < TRACKED {
+            return;
+        }
+        if stage == Stage::Online {
+            self.wait_for_the_map();
+        }
+        if self.cancels_in.is_some_and(|cancels_in| cancels_in(stage)) {
+            self.cancelled.store(true, Ordering::SeqCst);
+        }
+    }
+
+    fn frame(&self, estimate: &FrameEstimate, done: usize, total: usize) {
+        self.frames.lock().expect("no panic").push((estimate.index, done, total));
+        assert!(!self.panics.swap(false, Ordering::SeqCst), "as asked");
+    }
+
+    fn forecast(&self, _: &i2slam::run::RuntimeForecast) {
+        self.forecasts.fetch_add(1, Ordering::SeqCst);
+    }
+
+    fn cancellation(&self) -> CancellationToken {
+        let cancelled = Arc::clone(&self.cancelled);
+        CancellationToken::when(move || cancelled.load(Ordering::SeqCst))
+    }
+}
+
+fn run(options: &RunOptions, recorder: &Recorder) -> RunOutcome {
+    reconstruct(&sequence(options), options, recorder.clone()).expect("frames")
+}
+
+fn indices(outcome: &RunOutcome) -> Vec<usize> {
+    outcome.reconstruction.frames.iter().map(|frame| frame.index).collect()
+}
+
+fn has_warning(outcome: &RunOutcome, text: &str) -> bool {
+    outcome.warnings.iter().any(|warning| warning.text.contains(text))
+}
+
+/// Every frame is told, counted from one on, and some before the path is adjusted.
+#[test]
+fn frames_are_mapped_while_they_come() {
+    let recorder = Recorder::default();
+    let outcome = run(&options(), &recorder);
+    assert!(outcome.complete && outcome.warnings.is_empty(), "{:?}", outcome.warnings);
+    assert_eq!(indices(&outcome), (0..FRAMES).collect::<Vec<_>>());
+    let stages = recorder.stages.lock().expect("done");
+    assert_eq!(stages.first(), Some(&Stage::Online));
+    assert_eq!(stages.last(), Some(&Stage::Refinement));
+    let frames = recorder.frames.lock().expect("done");
+    assert!((0..FRAMES).all(|index| frames.iter().any(|frame| frame.0 == index)), "{frames:?}");
+    assert!(frames.iter().all(|(_, done, total)| (1..=*total).contains(done)), "{frames:?}");
+    assert_eq!(frames.last().map(|(_, done, total)| (*done, *total)), Some((FRAMES, FRAMES)));
+    assert_eq!(recorder.forecasts.load(Ordering::SeqCst), 1);
+}
+
+/// What came and was mapped is kept.
+#[test]
+fn a_run_cancelled_while_frames_come_keeps_path_and_map() {
+    let cancels_in: Option<fn(Stage) -> bool> = Some(|stage| stage == Stage::Online);
+    let recorder = Recorder { cancels_in, ..Recorder::default() };
+    let outcome = run(&options(), &recorder);
+    assert!(!outcome.complete && outcome.problem.is_none());
+    assert_eq!(indices(&outcome), (0..TRACKED).collect::<Vec<_>>());
+    assert!(outcome.reconstruction.map.gaussians() > 1000);
+    assert_eq!(outcome.reconstruction.online_trajectory.len(), TRACKED);
+    assert!(has_warning(&outcome, "those of visual odometry"), "{:?}", outcome.warnings);
+}
+
+/// The path so far stands for one that is not adjusted to the end.
+#[test]
+fn a_run_cancelled_while_the_path_is_adjusted_keeps_path_and_map() {
+    let cancels_in: Option<fn(Stage) -> bool> =
+        Some(|stage| matches!(stage, Stage::Odometry(_)));
+    let recorder = Recorder { cancels_in, ..Recorder::default() };
+    let outcome = run(&options(), &recorder);
+    assert!(!outcome.complete && outcome.problem.is_none());
+    assert_eq!(indices(&outcome), (0..FRAMES).collect::<Vec<_>>());
+    assert!(outcome.reconstruction.map.gaussians() > 1000);
+}
+
+/// Its frames are mapped after the last one then.
+#[test]
+fn a_panic_of_the_map_is_told_once_and_loses_nothing() {
+    let recorder = Recorder { panics: Arc::new(true.into()), ..Recorder::default() };
+    let outcome = run(&options(), &recorder);
+    assert!(outcome.complete, "{:?}", outcome.problem);
+    let told = outcome.warnings.iter().filter(|w| w.text.contains("all frames are mapped again"));
+    assert_eq!(told.count(), 1, "{:?}", outcome.warnings);
+    assert_eq!(indices(&outcome), (0..FRAMES).collect::<Vec<_>>());
+    assert!(outcome.reconstruction.map.gaussians() > 1000);
+    assert!(outcome.reconstruction.frames.iter().all(|frame| !frame.held_out));
+}
+
+/// Held out are those that a map made after the last frame would hold out.
+#[test]
+fn held_out_frames_are_drawn_once() {
+    let mut options = options();
+    options.config.mapping.hold_out = 4;
+    let recorder = Recorder::default();
+    let outcome = run(&options, &recorder);
+    let held_out = outcome.reconstruction.frames.iter().filter(|frame| frame.held_out);
+    assert_eq!(held_out.map(|frame| frame.index).collect::<Vec<_>>(), [4, 8, 12]);
+    let mapped = recorder.frames.lock().expect("done");
+    assert!(mapped.iter().all(|(index, ..)| ![4, 8, 12].contains(index)), "{mapped:?}");
+}
