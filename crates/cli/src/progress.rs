@@ -50,14 +50,15 @@ struct Phase {
     name: &'static str,
     /// Number of its steps; 0 if unknown.
     total: usize,
-    /// Steps that were done before.
+    /// Steps that were done before it, and are done.
     first: usize,
+    done: usize,
     started: Instant,
 }
 
 impl Phase {
     fn new(name: &'static str, first: usize, total: usize) -> Self {
-        Self { name, total, first, started: Instant::now() }
+        Self { name, total, first, done: first, started: Instant::now() }
     }
 
     /// True if frames are mapped in it.
@@ -116,6 +117,7 @@ impl Progress {
                 bar.set_length(total as u64);
             }
         }
+        phase.done = done;
         if total == 0 {
             return;
         }
@@ -165,6 +167,8 @@ impl Observer for Progress {
         if !phase.maps_frames() {
             return;
         }
+        // More frames may be tracked than are mapped.
+        let done = done.max(phase.done);
         let seconds = phase.seconds_per_step(done);
         let size = match estimate.gaussians {
             0 => String::new(),
@@ -176,7 +180,7 @@ impl Observer for Progress {
         );
         match &self.display {
             Display::Bar(bar) => {
-                bar.set_position(bar.position().max(done as u64));
+                bar.set_position(done as u64);
                 bar.set_message(figures);
             }
             Display::Lines(lines) if lines.is_due() || done == total => {
