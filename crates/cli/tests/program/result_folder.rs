@@ -134,6 +134,24 @@ fn the_same_seed_gives_the_same_bytes_on_any_number_of_threads() {
     assert!(runs[0] == runs[2], "one thread and two");
 }
 
+/// A thread of its own maps frames while they come, in one order.
+#[test]
+fn a_map_made_while_frames_come_has_the_same_bytes_on_any_number_of_threads() {
+    let scratch = TemporaryFolder::new("seed-online");
+    let clip = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets/demo");
+    let runs = [("a", "1"), ("b", "2"), ("c", "2")].map(|(name, threads)| {
+        let out = scratch.join(name);
+        let flags = ["--seed", "7", "--threads", threads, "--render", "none"];
+        let small = ["--frames", "0..10", "--max-side", "160"];
+        let ran = reconstruct(&clip, &out, &[&flags[..], &small].concat()).exits_with(0);
+        ran.stderr_contains("tracking and mapping");
+        let read = |file: &str| fs::read(out.join(file)).expect("a result");
+        ["trajectory.txt", "trajectory_shutter.txt", "map.i2slam"].map(read)
+    });
+    assert!(runs[0] == runs[1], "one thread and two");
+    assert!(runs[1] == runs[2], "the same run twice");
+}
+
 #[test]
 fn module_switches_change_the_settings() {
     let flags = ["--no-blur", "--no-tone", "--no-trajectory-loss", "--virtual-cameras", "3"];

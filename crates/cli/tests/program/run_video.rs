@@ -105,22 +105,6 @@ fn videos_without_a_path_say_why() {
     }
 }
 
-/// Mapped on a thread of its own, frames are mapped in one order.
-#[test]
-fn frames_mapped_while_they_come_give_the_same_bytes_on_any_number_of_threads() {
-    let footage = Footage::new("video-threads");
-    let video = footage.video("walk.mp4", &walk(16, 0.06));
-    let results = [("a", "1"), ("b", "2"), ("c", "2")].map(|(out, threads)| {
-        let flags = ["--fov", "63.2", "--seed", "7", "--threads", threads];
-        let ran = Ran::of(&mut footage.quick(out, &video, &flags)).exits_with(0);
-        ran.stderr_contains("tracking and mapping");
-        let read = |file: &str| fs::read(footage.scratch.join(out).join(file)).expect("a result");
-        ["trajectory.txt", "trajectory_shutter.txt", "map.i2slam"].map(read)
-    });
-    assert!(results[0] == results[1], "one thread and two");
-    assert!(results[1] == results[2], "the same run twice");
-}
-
 #[test]
 fn behind_a_cut_frames_are_lost_and_counted() {
     let footage = Footage::new("video-cut");

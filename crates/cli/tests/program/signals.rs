@@ -1,7 +1,7 @@
 //! Ctrl-C and SIGTERM; streams, which they end.
 
 use crate::footage::{Footage, walk as views};
-use crate::program::{Ran, Room, Running, Scene, i2slam, program, rows};
+use crate::program::{Ran, Room, Running, Scene, TemporaryFolder, i2slam, program, rows};
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -86,6 +86,23 @@ fn ctrl_c_keeps_the_path_and_the_earlier_result() {
         assert_eq!((&metrics["complete"], &metrics["frames"]), (&false.into(), &24.into()));
         assert!(metrics["warnings"].to_string().contains("those of visual odometry"));
     }
+}
+
+/// Frames that came are in the result, with the map of those that were mapped.
+#[test]
+fn ctrl_c_while_frames_are_mapped_keeps_path_and_map() {
+    let scratch = TemporaryFolder::new("interrupt-online");
+    let (out, slow) = (scratch.join("out"), scratch.join("slow.toml"));
+    fs::write(&slow, "[mapping]\nfirst_iterations = 100000\n").expect("room");
+    let clip = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets/demo");
+    let paths = [&clip, Path::new("--out"), &out, Path::new("--config"), &slow];
+    let mut running = Running::start(&mut program(["run".as_ref()].into_iter().chain(paths)));
+    running.until("tracking and mapping");
+    sleep(Duration::from_secs(2));
+    let ran = running.interrupted().exits_with(130);
+    ran.stderr_contains("writing what there is").stderr_contains("those of visual odometry");
+    assert!(rows(&out.join("trajectory.txt")) > 1);
+    i2slam!("render", out, "--frames", "0..1").exits_with(0);
 }
 
 /// A video of a walk, and the file of what flows when it is streamed.

@@ -244,10 +244,9 @@ impl OnlineMapping {
         self.sent.len()
     }
 
-    /// True if lengths of the map have the unit of those of a path, or will get it: metres, or a unit
-    /// that pictures without depth leave free.
-    pub(crate) fn has_unit_of(&self, path: &Reconstruction) -> bool {
-        self.gauge.is_none_or(|gauge| gauge.is_metric == path.depth_model.is_some())
+    /// True if lengths of the map, or of one that has not begun, and those of a path are metres.
+    pub(crate) fn is_metric(&self, path: &Reconstruction) -> bool {
+        path.depth_model.is_some() && self.gauge.is_none_or(|gauge| gauge.is_metric)
     }
 
     /// Waits until all frames are mapped, and corrects the map to the final path, which is returned
@@ -288,8 +287,7 @@ impl OnlineMapping {
         let (were, are): (Vec<Pose<f64>>, Vec<Pose<f64>>) =
             self.sent.iter().filter_map(known).unzip();
         let ratio = Some(reach(&were) / reach(&are)).filter(|r| r.is_finite() && *r > 0.0);
-        let is_metric = found.depth_model.is_some() && self.gauge.is_none_or(|g| g.is_metric);
-        let scale = if is_metric { 1.0 } else { ratio.unwrap_or(MEDIAN_DEPTH) };
+        let scale = if self.is_metric(&found) { 1.0 } else { ratio.unwrap_or(MEDIAN_DEPTH) };
         let mut placed = found.scaled(scale);
         let first_keyframe = placed.keyframes.first().map(|keyframe| keyframe.world_from_camera);
         if let Some(first) = first_keyframe.or(placed.poses.iter().copied().flatten().next()) {
