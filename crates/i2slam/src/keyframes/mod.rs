@@ -7,11 +7,11 @@ mod refined_import;
 mod row_rectification;
 
 pub use import::{Import, ImportDepth, ImportFormat, ImportOptions, import};
+pub(crate) use monocular::{BoxedLoader, GivenPictures, in_usual_unit};
 pub use monocular::{
     Intrinsics, MonocularError, MonocularSource, OdometryError, OdometryProgress,
     OdometryReconstruction, OdometryWarning, Stage,
 };
-pub(crate) use monocular::{BoxedLoader, GivenPictures, in_usual_unit};
 pub use refined_import::RefinedImport;
 pub(crate) use row_rectification::project_rolling;
 

@@ -146,8 +146,17 @@ pub(super) fn run<'a>(
     let none_usable = input.none_usable();
     let items = std::mem::replace(&mut input.items, Box::new(std::iter::empty()));
     let (held_out, skipped, first_error, latest) = (VecDeque::new(), 0, None, None);
-    let mut driver =
-        Driver { session, input, context, before, hold_out, held_out, skipped, first_error, latest };
+    let mut driver = Driver {
+        session,
+        input,
+        context,
+        before,
+        hold_out,
+        held_out,
+        skipped,
+        first_error,
+        latest,
+    };
     errors.iter().for_each(|error| driver.leave_out(error));
     let mut problem = catch_panic(|| driver.process_all(items)).err();
     let cancelled = || context.cancellation.is_cancelled();
