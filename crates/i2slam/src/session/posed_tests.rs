@@ -11,7 +11,7 @@ use i2slam_geometry::{Pose, Rotation, Tangent, Vec3};
 const KEYFRAMES: usize = 8;
 
 /// World-from-camera of a camera that looks at the far wall from several places.
-fn pose(index: usize) -> Pose<f64> {
+pub(super) fn pose(index: usize) -> Pose<f64> {
     let t = index as f64 - 3.5;
     let place = Vec3::new(0.07 * t, 0.05 * (1.3 * t).sin(), 0.04 * (0.9 * t).cos());
     Pose::new(Rotation::exp(Vec3::new(0.02 * t.sin(), -0.04 * t, 0.01 * t)), place)
@@ -23,7 +23,7 @@ fn moved(index: usize) -> Pose<f64> {
     pose(index).retract(Tangent::from_array(std::array::from_fn(|i| 0.03 * errors[i])))
 }
 
-fn keyframe(index: usize, world_from_camera: Pose<f64>) -> PosedKeyframe {
+pub(super) fn keyframe(index: usize, world_from_camera: Pose<f64>) -> PosedKeyframe {
     PosedKeyframe::from_frame(frame(index, pose(index)), world_from_camera)
 }
 
@@ -479,64 +479,4 @@ fn a_map_of_gaussians_follows_corrected_poses() {
         let due = motion * Vec3::from_array(*before).cast::<f64>();
         assert!((Vec3::from_array(*after).cast::<f64>() - due).norm() < 1e-5);
     }
-}
-
-/// A few steps on a map of Gaussians.
-fn quick_gaussians() -> Config {
-    let mut config = Config::preset("default-rgb").expect("known");
-    let mapping = &mut config.mapping;
-    (mapping.first_iterations, mapping.iterations) = (5, 2);
-    config
-}
-
-/// At the pose and with the depth of the room.
-fn measured_keyframe(index: usize) -> PosedKeyframe {
-    let depth = frame(index, pose(index)).depth.expect("measured").image;
-    let depth = EstimatedDepth { depth: (*depth).clone(), variance: None };
-    PosedKeyframe { depth: Some(depth), ..keyframe(index, pose(index)) }
-}
-
-/// A frame that comes late takes its place, and the tone of the frame before it.
-#[test]
-fn a_late_frame_goes_between_its_neighbours() {
-    let mut session = Session::refining(quick_gaussians(), CAMERA, 30.0);
-    for index in [0, 1, 3, 4] {
-        session.add_keyframe(measured_keyframe(index)).expect("a keyframe");
-    }
-    for frame in &mut session.state.frames {
-        frame.tone.log_exposure = frame.index as f32;
-    }
-    // A blank frame is not mapped, and keeps the tone that it begins with.
-    let mut blank = measured_keyframe(2);
-    Arc::make_mut(&mut blank.colour).data.fill(0.0);
-    session.add_keyframe(blank).expect("a keyframe");
-    let indices = |session: &Session| -> Vec<usize> {
-        session.frames().iter().map(|frame| frame.index).collect()
-    };
-    assert_eq!(indices(&session), [0, 1, 2, 3, 4]);
-    assert_eq!(session.frames()[2].tone.log_exposure, 1.0);
-    let keyframes: Vec<usize> = session.state.keyframes.iter().map(|k| k.frame).collect();
-    assert_eq!(keyframes, [0, 1, 3, 4]);
-}
-
-/// A frame that is mapped again replaces itself; one that cannot be used does not.
-#[test]
-fn a_frame_that_comes_again_is_replaced() {
-    let mut session = Session::refining(quick_gaussians(), CAMERA, 30.0);
-    for index in 0..4 {
-        session.add_keyframe(measured_keyframe(index)).expect("a keyframe");
-    }
-    let (frames, gaussians) = (session.frames().len(), session.mapper.gaussians());
-    let lost = PosedKeyframe {
-        world_from_camera: Pose::new(Rotation::identity(), Vec3::new(f64::NAN, 0.0, 0.0)),
-        ..measured_keyframe(0)
-    };
-    session.add_keyframe(lost).expect_err("no pose");
-    assert_eq!((session.frames().len(), session.mapper.gaussians()), (frames, gaussians));
-    session.add_keyframe(measured_keyframe(0)).expect("a keyframe");
-    assert_eq!(session.frames().len(), frames);
-    let keyframes: Vec<usize> = session.state.keyframes.iter().map(|k| k.frame).collect();
-    assert_eq!(keyframes, [0, 1, 2, 3]);
-    let again = session.mapper.gaussians();
-    assert!(again < gaussians + gaussians / 4, "{gaussians} -> {again}");
 }
