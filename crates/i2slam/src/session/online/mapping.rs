@@ -16,6 +16,9 @@ use std::sync::MutexGuard;
 /// Frames that wait for a map to start, at most: older ones have a pose in the end, and are not mapped.
 const MAX_WAITING: usize = 64;
 
+/// Frames over which the steps of a keyframe are spread: each takes this part of those left.
+const FRAMES_SHARING_STEPS: usize = 4;
+
 /// Maps the frames of a front end when their neighbours are known, and lets the map follow the
 /// corrections of their poses.
 ///
@@ -34,7 +37,8 @@ pub(crate) struct OnlineMapping {
     gauge: Option<Gauge>,
     /// Every frame in the map, by its number in the front end.
     sent: BTreeMap<usize, SentFrame>,
-    keyframes: usize,
+    /// Steps of keyframes that no frame has taken yet.
+    steps: usize,
     hold_out: HoldOut,
     /// Offset of depth that frames are mapped with until the next keyframe.
     registration: Registration,
@@ -106,7 +110,7 @@ impl OnlineMapping {
             waiting: VecDeque::new(),
             gauge: None,
             sent: BTreeMap::new(),
-            keyframes: 0,
+            steps: 0,
             hold_out: HoldOut::default(),
             registration: Registration::default(),
         }
@@ -164,7 +168,7 @@ impl OnlineMapping {
         self.queue.send(Job::Restart);
         self.gauge = None;
         self.sent.clear();
-        self.keyframes = 0;
+        self.steps = 0;
     }
 
     /// Bounds the frames that wait for a start: those between keyframes go first.
@@ -195,12 +199,12 @@ impl OnlineMapping {
         if !is_mapped {
             return;
         }
-        self.keyframes += usize::from(is_keyframe);
+        self.steps += if is_keyframe { self.mapping.iterations } else { 0 };
         if self.hold_out.holds_out(index, &self.mapping) {
             return;
         }
         let readout = path.rolling_shutter_readout;
-        let steps = self.steps_of_frame(number);
+        let steps = self.take_steps();
         let job = if is_keyframe {
             let found = gauge.place(front_end.path_so_far(Some(number)));
             let found = found.resized(self.size.0, self.size.1);
@@ -225,12 +229,12 @@ impl OnlineMapping {
         self.queue.send(job);
     }
 
-    /// Steps for a frame, where those between keyframes share the steps of their keyframe.
-    fn steps_of_frame(&self, number: usize) -> usize {
-        match self.maps_between && self.gauge.is_some_and(|gauge| gauge.is_metric) {
-            true => (self.mapping.iterations * self.keyframes).div_ceil(number + 1),
-            false => self.mapping.iterations,
-        }
+    /// Steps for the next frame, where those between keyframes share the steps of their keyframe.
+    fn take_steps(&mut self) -> usize {
+        let is_shared = self.maps_between && self.gauge.is_some_and(|gauge| gauge.is_metric);
+        let steps = if is_shared { self.steps.div_ceil(FRAMES_SHARING_STEPS) } else { self.steps };
+        self.steps -= steps;
+        steps
     }
 
     /// A pose of the front end in the world of the map, once there is one.
