@@ -108,7 +108,7 @@ fn frames_are_mapped_while_they_come() {
     assert_eq!(frames.last().map(|(_, done, total)| (*done, *total)), Some((FRAMES, FRAMES)));
 }
 
-/// What came and was mapped is kept.
+/// Path and map so far are in the result.
 #[test]
 fn a_run_cancelled_while_frames_come_keeps_path_and_map() {
     let cancels_in: Option<fn(Stage) -> bool> = Some(|stage| stage == Stage::Online);

@@ -72,8 +72,8 @@ pub(super) fn find_path(
     })
 }
 
-/// What was mapped, with its poses corrected to the path; `None` where all frames have to be mapped
-/// after the last one.
+/// The mapped frames, their poses corrected to the path; `None` if all frames have to be mapped after
+/// the last one.
 fn finish_mapping(
     mapping: OnlineMapping,
     path: &OdometryReconstruction,

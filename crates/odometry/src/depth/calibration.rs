@@ -362,6 +362,22 @@ mod tests {
         assert!(ratio_of_half_a_pixel(true) > MAX_COST_RATIO, "{}", ratio_of_half_a_pixel(true));
     }
 
+    /// From where pictures alone put it; an axis that was not found stays.
+    #[test]
+    fn a_displacement_is_refined_to_the_minimum_of_its_axes() {
+        let mut state = SfmState::new(camera(), Tracks { frames: 3, ..Tracks::default() });
+        state.timestamps = Arc::new(vec![0.0, 1.0 / 30.0, 2.0 / 30.0]);
+        let due = [1.0, 0.0, -0.02];
+        let cost =
+            |d: &Displacement| ((d[0] - due[0]) / 5.0).abs() + ((d[2] - due[2]) / 0.01).abs();
+        for start in [[0.0, 0.0, -0.017], [0.5, 0.0, -0.022]] {
+            let found = refine_jointly(&cost, &state, (cost(&start), start));
+            assert!((found[2] - due[2]).abs() < 3e-4, "{found:?}");
+            assert_eq!(found[0] == 0.0, start[0] == 0.0);
+            assert!(start[0] == 0.0 || (found[0] - due[0]).abs() < 0.2, "{found:?}");
+        }
+    }
+
     #[test]
     fn a_minimum_at_the_end_of_the_range_is_none() {
         let steps = [5.0, 5.0, 0.01];

@@ -44,7 +44,7 @@ pub(crate) struct OnlineMapping {
     registration: Registration,
 }
 
-/// What was mapped while frames came.
+/// Result of mapping during tracking.
 pub(crate) struct MappedFrames {
     pub(crate) session: Session,
     /// The path in world and unit of length of the map.
