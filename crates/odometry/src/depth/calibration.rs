@@ -32,6 +32,8 @@ const HALVINGS: usize = 7;
 /// Rounds of the search with landmarks of pictures and depth, and the ratio of their steps.
 const JOINT_REFINEMENTS: i32 = 3;
 const JOINT_STEP_RATIO: f64 = 1.0 / 3.0;
+/// Most passes over the coordinates with steps of one size.
+const MAX_JOINT_PASSES: usize = 8;
 /// Largest cost relative to that of registered depth at which a displacement is accepted.
 const MAX_COST_RATIO: f64 = 0.97;
 /// Scale of the robust cost over the median absolute residual of registered depth.
@@ -158,33 +160,47 @@ fn search(cost: &impl Fn(&Displacement) -> f64, mut steps: Displacement) -> Opti
 
 /// The displacement of least cost near one that was found from pictures alone, which do not
 /// determine far landmarks as well as depth does: by parabolas along the coordinates that are not
-/// zero, with steps of its search that fall.
+/// zero, each step of falling size repeated while the cost falls.
 fn refine_jointly(
     cost: &impl Fn(&Displacement) -> f64,
     state: &SfmState,
-    (mut least, start): (f64, Displacement),
+    start: (f64, Displacement),
 ) -> Displacement {
-    let mut best = start;
     let shift = FIRST_SHIFT * state.camera.width as f64;
     let delay = FIRST_DELAY * median_frame_interval(&state.timestamps).unwrap_or(0.0);
+    let free: Vec<usize> = (0..3).filter(|axis| start.1[*axis] != 0.0).collect();
+    let mut best = start;
     for round in 1..=JOINT_REFINEMENTS {
         let steps = [shift, shift, delay].map(|step| step * JOINT_STEP_RATIO.powi(round));
-        for axis in (0..3).filter(|axis| start[*axis] != 0.0) {
-            let moved = |by: f64| {
-                let mut next = best;
-                next[axis] += by;
-                (cost(&next), next)
-            };
-            let sides = [-steps[axis], steps[axis]].map(moved);
-            let lowest = parabola_minimum(steps[axis], [sides[0].0, least, sides[1].0]).map(moved);
-            for (found, place) in sides.into_iter().chain(lowest) {
-                if found < least {
-                    (least, best) = (found, place);
-                }
+        for _ in 0..MAX_JOINT_PASSES {
+            let before = best.1;
+            for axis in &free {
+                best = least_along(cost, best, (*axis, steps[*axis]));
+            }
+            if free.iter().all(|axis| (best.1[*axis] - before[*axis]).abs() < 0.5 * steps[*axis]) {
+                break;
             }
         }
     }
-    best
+    best.1
+}
+
+/// The least of the costs at a displacement, one step to either side of it along an axis, and at
+/// the minimum of the parabola through the three.
+fn least_along(
+    cost: &impl Fn(&Displacement) -> f64,
+    (least, best): (f64, Displacement),
+    (axis, step): (usize, f64),
+) -> (f64, Displacement) {
+    let moved = |by: f64| {
+        let mut next = best;
+        next[axis] += by;
+        (cost(&next), next)
+    };
+    let sides = [-step, step].map(moved);
+    let lowest = parabola_minimum(step, [sides[0].0, least, sides[1].0]).map(moved);
+    let tried = sides.into_iter().chain(lowest);
+    tried.fold((least, best), |best, tried| if tried.0 < best.0 { tried } else { best })
 }
 
 /// The keyframes adjusted to their pictures, and to depth at a displacement if one is given.
@@ -370,7 +386,7 @@ mod tests {
         let due = [1.0, 0.0, -0.02];
         let cost =
             |d: &Displacement| ((d[0] - due[0]) / 5.0).abs() + ((d[2] - due[2]) / 0.01).abs();
-        for start in [[0.0, 0.0, -0.017], [0.5, 0.0, -0.022]] {
+        for start in [[0.0, 0.0, -0.01], [0.5, 0.0, -0.022]] {
             let found = refine_jointly(&cost, &state, (cost(&start), start));
             assert!((found[2] - due[2]).abs() < 3e-4, "{found:?}");
             assert_eq!(found[0] == 0.0, start[0] == 0.0);
