@@ -205,21 +205,40 @@ fn sample_patch<const S: usize>(image: &Image<f32>, warp: &AffineWarp) -> [[f32;
     if warp.matrix == [[1.0, 0.0], [0.0, 1.0]] && fits(0) && fits(1) {
         return sample_translated(image, first);
     }
+    std::array::from_fn(|row| sample_row(image, warp, row as f32 - half, most))
+}
+
+/// A row of [`sample_patch`], its steps apart so that all but the reading of pixels compile to
+/// vector instructions.
+#[inline(always)]
+fn sample_row<const S: usize>(
+    image: &Image<f32>,
+    warp: &AffineWarp,
+    dy: f32,
+    most: [f32; 2],
+) -> [f32; S] {
     let [[a, b], [c, d]] = warp.matrix;
-    std::array::from_fn(|row| {
-        let dy = row as f32 - half;
-        std::array::from_fn(|column| {
-            let dx = column as f32 - half;
-            let x = (warp.centre[0] + a * dx + b * dy - 0.5).clamp(0.0, most[0]);
-            let y = (warp.centre[1] + c * dx + d * dy - 0.5).clamp(0.0, most[1]);
-            let (column, row) = (x as usize, y as usize);
-            let (u, v) = (x - column as f32, y - row as f32);
-            let k = row * image.width + column;
-            let (upper, lower) = (&image.data[k..k + 2], &image.data[k + image.width..][..2]);
-            let top = upper[0] + (upper[1] - upper[0]) * u;
-            let bottom = lower[0] + (lower[1] - lower[0]) * u;
-            top + (bottom - top) * v
-        })
+    let dx = |column: usize| column as f32 - (S / 2) as f32;
+    let x: [f32; S] =
+        std::array::from_fn(|i| (warp.centre[0] + a * dx(i) + b * dy - 0.5).clamp(0.0, most[0]));
+    let y: [f32; S] =
+        std::array::from_fn(|i| (warp.centre[1] + c * dx(i) + d * dy - 0.5).clamp(0.0, most[1]));
+    let (columns, rows) = (x.map(|x| x as i32), y.map(|y| y as i32));
+    let u: [f32; S] = std::array::from_fn(|i| x[i] - columns[i] as f32);
+    let v: [f32; S] = std::array::from_fn(|i| y[i] - rows[i] as f32);
+    let mut corners = [[0.0; S]; 4];
+    for i in 0..S {
+        let first = rows[i] as usize * image.width + columns[i] as usize;
+        let pixels = &image.data[first..first + image.width + 2];
+        corners[0][i] = pixels[0];
+        corners[1][i] = pixels[1];
+        corners[2][i] = pixels[image.width];
+        corners[3][i] = pixels[image.width + 1];
+    }
+    std::array::from_fn(|i| {
+        let top = corners[0][i] + (corners[1][i] - corners[0][i]) * u[i];
+        let bottom = corners[2][i] + (corners[3][i] - corners[2][i]) * u[i];
+        top + (bottom - top) * v[i]
     })
 }
 
