@@ -50,6 +50,7 @@ mod track {
 mod depth {
     pub(crate) mod calibration;
     pub(crate) mod depth_map;
+    pub(crate) mod pairing;
     pub(crate) mod readings;
     pub(crate) mod registration;
     pub(crate) mod scale;

@@ -12,6 +12,7 @@
 //! inverse depth `ρ(t)` of the landmark then, and `s` the median of `q`: pictures alone leave the
 //! scale open.
 
+use crate::depth::pairing::pair_depth;
 use crate::depth::readings::update_depth_model;
 use crate::multiview::lens_distortion::undistort;
 use crate::register::registration::adjust_globally;
@@ -106,6 +107,7 @@ pub(crate) fn calibrate_depth(state: &mut SfmState) -> bool {
     let changed = model.shift != [right, down] || model.delay != delay;
     (model.shift, model.delay) = ([right, down], delay);
     if changed {
+        pair_depth(state);
         update_depth_model(state);
     }
     changed
@@ -130,7 +132,8 @@ fn displacements_by_pictures(state: &SfmState) -> Vec<Displacement> {
 /// that are halved; one with a step of zero stays. `None` at an end of the range: a cost that falls
 /// up to there has no minimum.
 fn search(cost: &impl Fn(&Displacement) -> f64, mut steps: Displacement) -> Option<Displacement> {
-    let offsets = -COARSE_STEPS..=COARSE_STEPS;
+    let reach = if steps[0] > 0.0 { COARSE_STEPS } else { 0 };
+    let offsets = -reach..=reach;
     let grid = offsets.clone().flat_map(|i| offsets.clone().map(move |j| (i, j)));
     let places = grid.map(|(i, j)| [f64::from(i) * steps[0], f64::from(j) * steps[1], 0.0]);
     let tried = places.map(|place| (cost(&place), place));
