@@ -16,10 +16,8 @@ const AREA: usize = SIDE * SIDE;
 /// Side of a patch with one more pixel on every side, for central differences.
 const WIDE: usize = SIDE + 2;
 const MAX_ITERATIONS: usize = 15;
-/// Update at which the iteration ends [px]: a thirteenth of the least deviation of a position, and
-/// more where a finer level follows.
-pub(crate) const MIN_UPDATE: f32 = 0.03;
-pub(crate) const COARSE_MIN_UPDATE: f32 = 0.1;
+/// Update at which the iteration ends [px].
+const MIN_UPDATE: f32 = 0.01;
 /// Added to the squared length of the picture's patch, so that flat ones match nothing.
 const CONTRAST_FLOOR: f32 = 1e-4;
 
@@ -106,24 +104,13 @@ impl<const N: usize> PatchTemplate<N> {
         (norm > 1e-3).then_some(Self { basis, inverse, norm })
     }
 
-    /// Aligns the patch with `image` from `start` on until an update is below `min_update` [px];
-    /// `None` if the iteration diverges.
-    pub(crate) fn align(
-        &self,
-        image: &Image<f32>,
-        start: AffineWarp,
-        min_update: f32,
-    ) -> Option<PatchMatch> {
-        Arch::new().dispatch(|| self.iterate(image, start, min_update))
+    /// Aligns the patch with `image` from `start` on; `None` if the iteration diverges.
+    pub(crate) fn align(&self, image: &Image<f32>, start: AffineWarp) -> Option<PatchMatch> {
+        Arch::new().dispatch(|| self.iterate(image, start))
     }
 
     #[inline(always)]
-    fn iterate(
-        &self,
-        image: &Image<f32>,
-        start: AffineWarp,
-        min_update: f32,
-    ) -> Option<PatchMatch> {
+    fn iterate(&self, image: &Image<f32>, start: AffineWarp) -> Option<PatchMatch> {
         let mut warp = start;
         let mut correlation = 0.0;
         for _ in 0..MAX_ITERATIONS {
@@ -147,7 +134,7 @@ impl<const N: usize> PatchTemplate<N> {
             if !is_inside(image, warp.centre) {
                 return None;
             }
-            if d[0].hypot(d[1]) < min_update {
+            if d[0].hypot(d[1]) < MIN_UPDATE {
                 break;
             }
         }
@@ -290,7 +277,7 @@ mod tests {
     fn aligned<const N: usize>(image: &Image<f32>) -> PatchMatch {
         let still = waves(|x, y| (x, y), 1.0, 0.0);
         let template = PatchTemplate::<N>::new(&still, [30.0, 24.0]).expect("textured");
-        template.align(image, AffineWarp::translation([30.0, 24.0]), MIN_UPDATE).expect("found")
+        template.align(image, AffineWarp::translation([30.0, 24.0])).expect("found")
     }
 
     #[test]

@@ -5,7 +5,7 @@
 //! Where the anchor does not match, the position from the last frame is kept without an observation.
 
 use crate::track::motion_blur::EqualBlur;
-use crate::track::patch::{AffineWarp, COARSE_MIN_UPDATE, MIN_UPDATE, PatchMatch, PatchTemplate};
+use crate::track::patch::{AffineWarp, PatchMatch, PatchTemplate};
 use crate::track::pyramid::Pyramid;
 use crate::track::tracks::Observation;
 use i2slam_geometry::Image;
@@ -89,8 +89,7 @@ impl AnchorPatch {
         for level in (0..=from.min(self.templates.len() - 1)).rev() {
             let scale = (1_usize << level) as f32;
             let template = &self.templates[level];
-            let there =
-                template.align(&next.levels[level], warp.scaled(1.0 / scale), min_update(level))?;
+            let there = template.align(&next.levels[level], warp.scaled(1.0 / scale))?;
             warp = there.warp.scaled(scale);
             found = Some(there);
         }
@@ -146,11 +145,6 @@ pub(crate) fn search_point(
     TrackOutcome { warp, is_followed, correlation: anchored.map(|f| f.correlation) }
 }
 
-/// Update at which the alignment on a level ends [px].
-fn min_update(level: usize) -> f32 {
-    if level == 0 { MIN_UPDATE } else { COARSE_MIN_UPDATE }
-}
-
 fn distance(a: [f32; 2], b: [f32; 2]) -> f32 {
     (a[0] - b[0]).hypot(a[1] - b[1])
 }
@@ -174,7 +168,7 @@ fn follow_from_last_frame(
         let scale = (1_usize << level) as f32;
         let template = PatchTemplate::<4>::new(&last.levels[level], from.map(|v| v / scale));
         let start = AffineWarp::translation(at.map(|v| v / scale));
-        match template.and_then(|t| t.align(&next.levels[level], start, min_update(level))) {
+        match template.and_then(|t| t.align(&next.levels[level], start)) {
             Some(f) => {
                 at = f.warp.centre.map(|v| v * scale);
                 found = Some(f);
@@ -185,10 +179,7 @@ fn follow_from_last_frame(
         }
     }
     let found = found.filter(|f| f.correlation > MIN_CORRELATION)?;
-    let back = PatchTemplate::<4>::new(next.finest(), at)?.align(
-        last.finest(),
-        AffineWarp::translation(from),
-        MIN_UPDATE,
-    )?;
+    let back = PatchTemplate::<4>::new(next.finest(), at)?
+        .align(last.finest(), AffineWarp::translation(from))?;
     (distance(back.warp.centre, from) < MAX_ROUND_TRIP_ERROR).then_some(found)
 }
