@@ -30,8 +30,17 @@ fn push_all(
     pause: Duration,
     change: impl Fn(Frame) -> Frame,
 ) -> (OnlineSession, Vec<OnlineUpdate>) {
+    push_to(config(), pause, change)
+}
+
+/// Pushes all frames to a session with these settings.
+fn push_to(
+    config: Config,
+    pause: Duration,
+    change: impl Fn(Frame) -> Frame,
+) -> (OnlineSession, Vec<OnlineUpdate>) {
     let sequence = sequence();
-    let mut session = OnlineSession::new(config(), sequence.camera, sequence.frame_rate);
+    let mut session = OnlineSession::new(config, sequence.camera, sequence.frame_rate);
     let mut push = |frame: Frame| {
         std::thread::sleep(pause);
         session.push(change(frame)).expect("a frame of that size")
@@ -70,6 +79,19 @@ fn the_map_does_not_depend_on_time() {
     let maps = [0, 30].map(|pause| {
         let (session, _) = push_all(Duration::from_millis(pause), |frame| frame);
         let found = finish(session);
+        let poses: Vec<Pose<f64>> = found.frames.iter().map(|f| f.middle()).collect();
+        (found.map, poses)
+    });
+    assert!(maps[0] == maps[1]);
+}
+
+/// Pictures that leave memory for a file change no byte.
+#[test]
+fn the_map_does_not_depend_on_memory() {
+    // A megabyte of pictures: one frame.
+    let maps = [4.0, 0.002].map(|memory| {
+        let config = Config { memory, ..config() };
+        let found = finish(push_to(config, Duration::ZERO, |frame| frame).0);
         let poses: Vec<Pose<f64>> = found.frames.iter().map(|f| f.middle()).collect();
         (found.map, poses)
     });

@@ -2,10 +2,11 @@
 //!
 //! `cargo run --release -p i2slam-odometry --example path -- SEQUENCE OUT.txt [--depth]
 //! [--scale FACTOR] [--stride N] [--fov DEGREES] [--guess FACTOR] [--open]
-//! [--online FILE] [--scratch FILE]` writes `world_from_camera` poses in the TUM format, and prints
+//! [--online FILE] [--scratch MB]` writes `world_from_camera` poses in the TUM format, and prints
 //! their error where the sequence has a true path, also over the deviations that they claim, that of
 //! the poses as they were known when the frames came, and the time a frame takes. Depth is used with
-//! `--depth`; with `--open` no loop is closed; with `--scratch` pictures leave memory for a new file.
+//! `--depth`; with `--open` no loop is closed; with `--scratch` pictures take up to so
+//! much memory, and others leave it for a file.
 //! The focal length is taken from the sequence or `--fov`; it is estimated where neither gives it,
 //! or from FACTOR times that of the sequence with `--guess`.
 
@@ -17,12 +18,10 @@ use i2slam_eval::trajectory::{
 use i2slam_geometry::{Camera, StampedPose};
 use i2slam_odometry::{
     DepthPicture, FrontEnd, Intrinsics, MIN_NEIGHBOURS, NEIGHBOUR_WINDOW, Progress, Reconstruction,
-    ScratchFile,
 };
+use i2slam_storage::ScratchStore;
 use std::error::Error;
-use std::fs::File;
 use std::path::Path;
-use std::sync::Arc;
 use std::time::Instant;
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -53,9 +52,9 @@ fn main() -> Result<(), Box<dyn Error>> {
         front_end = front_end.without_loop_closure();
     }
     if let Some(place) = flags.iter().position(|flag| flag == "--scratch") {
-        let file = flags.get(place + 1).ok_or("--scratch needs a file")?;
-        let file = File::options().read(true).write(true).create_new(true).open(file)?;
-        front_end = front_end.with_scratch(Arc::new(ScratchFile::new(file)));
+        let megabytes = flags.get(place + 1).ok_or("--scratch needs a number of megabytes")?;
+        let bytes = megabytes.parse::<usize>()? << 20;
+        front_end = front_end.with_scratch(ScratchStore::new(bytes, std::env::temp_dir()));
     }
     let started = Instant::now();
     let mut seconds = Vec::new();

@@ -41,7 +41,7 @@ pub enum OdometryError {
         "no two pictures agree on a motion of the camera: the scene itself moves, or the intrinsics are far off; check them or let the focal length be estimated"
     )]
     NoConsistentMotion,
-    /// A picture could not be read back from the [`ScratchFile`](crate::ScratchFile).
+    /// A picture could not be read back from the [`ScratchStore`](i2slam_storage::ScratchStore).
     #[error(
         "a picture that had left memory could not be read back from the scratch file ({reason}): check the disk, or allow more memory"
     )]

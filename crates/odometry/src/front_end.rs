@@ -4,7 +4,6 @@ use crate::depth::calibration::calibrate_depth;
 use crate::depth::depth_map::DepthPicture;
 use crate::depth::readings::read_depth;
 use crate::depth::scale::scale_to_readings;
-use crate::depth::scratch::ScratchFile;
 use crate::diagnosis::findings::diagnose;
 use crate::diagnosis::pictures::PictureChecks;
 use crate::error::{OdometryError, PictureError};
@@ -25,9 +24,10 @@ use crate::rolling_shutter::readout::{estimate_rolling_shutter, median_frame_int
 use crate::rolling_shutter::rolling_shutter_init::initialize_readout;
 use crate::segmentation::moving_tracks::leave_out_moving_objects;
 use crate::sfm_state::SfmState;
-use crate::track::tracker::{BACKWARD_FRAMES, FrameReport, Tracker};
+use crate::track::tracker::{FrameReport, Tracker};
 use crate::track::tracks::{Tracks, repeated_frame};
 use i2slam_geometry::{Image, Pose};
+use i2slam_storage::ScratchStore;
 use std::sync::Arc;
 
 /// Smallest number of pictures.
@@ -40,8 +40,6 @@ const DEPTH_CALIBRATION_ROUNDS: usize = 3;
 /// Time between a depth picture and its colour picture up to which it is used, a frame interval
 /// where that is longer [s]: it is read for the velocity of the camera, which hands change within.
 const MAX_DEPTH_DELAY: f64 = 0.1;
-/// Frames whose pictures stay in memory: those that the map may take up anew, and some more.
-const FRAMES_IN_MEMORY: usize = 2 * BACKWARD_FRAMES;
 /// Shorter side of a picture, at least [px].
 pub const MIN_SIDE: usize = 48;
 
@@ -53,9 +51,8 @@ pub struct FrontEnd {
     picture_checks: PictureChecks,
     map: OnlineMap,
     close_loops: bool,
-    scratch: Option<Arc<ScratchFile>>,
-    /// The first frame whose picture has not been moved to the file.
-    first_in_memory: usize,
+    /// Pictures and depth of all frames.
+    scratch: Arc<ScratchStore>,
 }
 
 /// Pose and status of a frame at the time when it came.
@@ -79,8 +76,8 @@ impl FrontEnd {
     pub fn new(intrinsics: Intrinsics) -> Self {
         let (tracker, picture_checks) = (Tracker::default(), PictureChecks::default());
         let map = OnlineMap::new(SfmState::new(*intrinsics.camera(), Tracks::default()));
-        let (close_loops, scratch, first_in_memory) = (true, None, 0);
-        Self { intrinsics, tracker, picture_checks, map, close_loops, scratch, first_in_memory }
+        let (close_loops, scratch) = (true, ScratchStore::in_memory());
+        Self { intrinsics, tracker, picture_checks, map, close_loops, scratch }
     }
 
     /// Disables loop closure.
@@ -88,11 +85,11 @@ impl FrontEnd {
         Self { close_loops: false, ..self }
     }
 
-    /// Moves pictures and depth of frames that are some time past to a file, once lengths are metres:
-    /// memory then grows by the tracks of points and by keyframes alone. The result stays the same,
-    /// byte for byte; [`finish`](Self::finish) fails where a picture cannot be read back.
-    pub fn with_scratch(self, file: Arc<ScratchFile>) -> Self {
-        Self { scratch: Some(file), ..self }
+    /// Bounds the memory of pictures and depth of all frames, before the first of them: memory then
+    /// grows by the tracks of points and by keyframes alone. The result stays the same, byte for byte;
+    /// [`finish`](Self::finish) fails where a picture cannot be read back.
+    pub fn with_scratch(self, scratch: Arc<ScratchStore>) -> Self {
+        Self { scratch, ..self }
     }
 
     /// Tracks points into the next picture, and registers it to the map so far: planes R, G, B in
@@ -143,7 +140,7 @@ impl FrontEnd {
         // Points are followed without the map, and the map grows by pictures that were tracked already.
         let (FrameReport { is_cut, .. }, ()) =
             rayon::join(|| self.tracker.track(picture), || self.map.extend());
-        self.map.state.add_input(picture, timestamp, depth);
+        self.map.state.add_input(picture, timestamp, depth, &self.scratch);
         let (frame, is_repeat) = (self.tracker.tracks.frames - 1, &self.picture_checks.is_repeat);
         let status = match self.intrinsics {
             Intrinsics::Known(_) => self.map.add_frame(&mut self.tracker, is_repeat),
@@ -151,19 +148,9 @@ impl FrontEnd {
                 TrackingStatus::Initializing
             }
         };
-        self.move_to_scratch(frame);
         let pose = self.map.poses.last().copied().flatten();
         let is_keyframe = self.tracker.tracks.keyframes.last() == Some(&frame);
         Ok(FrameUpdate { frame, pose, status, is_cut, is_keyframe })
-    }
-
-    /// Moves pictures that the next frames do not need to the scratch file.
-    fn move_to_scratch(&mut self, frame: usize) {
-        let state = &mut self.map.state;
-        let Some(file) = self.scratch.as_ref().filter(|_| !state.is_unscaled) else { return };
-        let end = frame.saturating_sub(FRAMES_IN_MEMORY);
-        (self.first_in_memory..end).for_each(|frame| state.move_input(frame, file));
-        self.first_in_memory = self.first_in_memory.max(end);
     }
 
     /// True if a depth picture taken `later` than its colour picture [s] is used.
@@ -241,7 +228,7 @@ impl FrontEnd {
         if progress.is_cancelled() {
             return Err(OdometryError::Cancelled);
         }
-        if let Some(reason) = scratch.and_then(|file| file.failure()) {
+        if let Some(reason) = scratch.failure() {
             return Err(OdometryError::Scratch { reason });
         }
         let readout = state.readout * median_frame_interval(&timestamps).unwrap_or(0.0);

@@ -54,7 +54,6 @@ mod depth {
     pub(crate) mod readings;
     pub(crate) mod registration;
     pub(crate) mod scale;
-    pub(crate) mod scratch;
     pub(crate) mod sensor_model;
     pub(crate) mod stored_picture;
 }
@@ -132,7 +131,6 @@ mod dense;
 pub use dense::{DenseDepth, DenseDepthEstimator, KeyframePictures, MeasuredDepth, PosedView};
 pub use depth::depth_map::DepthPicture;
 pub use depth::registration::register_depth;
-pub use depth::scratch::ScratchFile;
 pub use depth::sensor_model::DepthModel;
 pub use diagnosis::pictures::blank_reason;
 pub use error::{OdometryError, PictureError};

@@ -8,7 +8,6 @@ pub(crate) use scale::MIN_MEASURED_LANDMARKS;
 
 use crate::bundle::{FreeIntrinsics, RelativePoseFactor};
 use crate::depth::depth_map::{DepthMap, DepthPicture};
-use crate::depth::scratch::ScratchFile;
 use crate::depth::sensor_model::DepthModel;
 use crate::depth::stored_picture::StoredPicture;
 use crate::multiview::landmark::{Landmark, Match};
@@ -17,6 +16,7 @@ use crate::multiview::triangulation::{PosedObservation, triangulate};
 use crate::progress::Progress;
 use crate::track::tracks::{Observation, Track, Tracks, repeated_frame, shared_positions};
 use i2slam_geometry::{Camera, Image, Pose, Similarity};
+use i2slam_storage::ScratchStore;
 use rayon::prelude::*;
 use std::sync::Arc;
 
@@ -103,25 +103,14 @@ impl SfmState {
         picture: &Image<f32>,
         timestamp: f64,
         depth: Option<&DepthPicture<'_>>,
+        scratch: &Arc<ScratchStore>,
     ) {
-        let depth = depth.map(DepthMap::new).filter(DepthMap::has_readings);
+        let depth = depth.map(|depth| DepthMap::new(depth, scratch)).filter(DepthMap::has_readings);
         let is_kept = depth.is_some() || self.pictures.last().is_some_and(Option::is_some);
         Arc::make_mut(&mut self.timestamps).push(timestamp);
         Arc::make_mut(&mut self.depth_maps).push(depth);
-        Arc::make_mut(&mut self.pictures).push(is_kept.then(|| StoredPicture::new(picture)));
-    }
-
-    /// Moves the picture of a frame to a file, and its depth where that is not read again and again.
-    pub(crate) fn move_input(&mut self, frame: usize, file: &Arc<ScratchFile>) {
-        if let Some(picture) = &mut Arc::make_mut(&mut self.pictures)[frame] {
-            picture.move_to(file);
-        }
-        let is_keyframe = self.tracks.keyframes.binary_search(&frame).is_ok();
-        if let Some(map) =
-            Arc::make_mut(&mut self.depth_maps)[frame].as_mut().filter(|_| !is_keyframe)
-        {
-            map.move_to(file);
-        }
+        Arc::make_mut(&mut self.pictures)
+            .push(is_kept.then(|| StoredPicture::new(picture, scratch)));
     }
 
     /// Adds the last frame of the tracker, whose `tracked` points have a new observation there; one

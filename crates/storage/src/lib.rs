@@ -1,4 +1,5 @@
-//! Files: output folders that are written whole or not at all, and bounded reading of regular files.
+//! Files: output folders that are written whole or not at all, bounded reading of regular files, and a
+//! bound on the memory of pictures.
 
 mod carry;
 mod claim;
@@ -9,6 +10,7 @@ mod manifest;
 mod message;
 mod output;
 mod read;
+mod scratch;
 mod staging;
 mod swap;
 #[cfg(test)]
@@ -22,6 +24,7 @@ pub use manifest::{FileRecord, MANIFEST, Manifest};
 pub use message::shortened;
 pub use output::{Committed, OutputFolder};
 pub use read::{MAX_TEXT, open, read, read_range, read_text, read_text_up_to};
+pub use scratch::{ScratchStore, Storable, Stored, append_floats, floats};
 
 use std::path::{Path, PathBuf};
 

@@ -167,6 +167,12 @@ impl OutputFolder {
         &self.path
     }
 
+    /// A folder on the same disk for files that are needed until the result is committed; it is removed
+    /// with what was prepared.
+    pub fn scratch_folder(&self) -> &Path {
+        &self.staging.root
+    }
+
     /// Whether a command wrote the folder before.
     pub fn has_earlier_result(&self) -> bool {
         self.earlier.is_some()

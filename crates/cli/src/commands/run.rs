@@ -64,6 +64,10 @@ pub(crate) struct Run {
     /// Seed of all random choices; the same seed gives the same bytes
     #[arg(long, value_name = "N")]
     pub(crate) seed: Option<u64>,
+    /// Memory of the run, about [GB]: pictures beyond half of it wait in a file; no result depends on
+    /// it
+    #[arg(long, value_name = "GB")]
+    pub(crate) memory: Option<f64>,
     #[command(flatten)]
     pub(crate) machine: Machine,
 }
@@ -254,9 +258,8 @@ fn with_flags(mut config: Config, arguments: &Run) -> Result<Config, Failure> {
             Map::Hashgrid => MapKind::HashGrid,
         };
     }
-    if let Some(seed) = arguments.seed {
-        config.seed = seed;
-    }
+    config.seed = arguments.seed.unwrap_or(config.seed);
+    config.memory = arguments.memory.unwrap_or(config.memory);
     config.validate()?;
     Ok(config)
 }

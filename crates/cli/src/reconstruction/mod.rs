@@ -104,7 +104,9 @@ fn reconstruct_into(
         }
         Failure::from(error)
     };
-    let outcome = reconstruct(sequence, &job.options, progress.clone());
+    let scratch_folder = folder.scratch_folder().to_owned();
+    let options = RunOptions { scratch_folder, ..job.options.clone() };
+    let outcome = reconstruct(sequence, &options, progress.clone());
     let written = outcome.map_err(failure).and_then(|outcome| {
         let undistorted = outcome.undistorted.clone();
         // True pictures have the same lens distortion.

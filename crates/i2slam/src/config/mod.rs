@@ -58,6 +58,9 @@ section! {
         preset: String,
         /// Seed of every random choice; the same seed gives the same bytes.
         seed: u64,
+        /// Memory of a run, about [GB]: pictures of past frames take half of it, and those not used for
+        /// longest wait in a scratch file. No result depends on it.
+        memory: f64,
         /// Pictures before they are tracked.
         input: InputConfig,
         /// Image formation: how a picture comes from radiance.

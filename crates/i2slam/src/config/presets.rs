@@ -131,6 +131,7 @@ fn paper_scannet() -> Config {
     Config {
         preset: "paper-scannet".to_owned(),
         seed: 0,
+        memory: 4.0,
         input: InputConfig {
             crop_border: 12,
             minimum_gap: 1.0 / 32.0,

@@ -28,6 +28,9 @@ const MIN_LENGTH: f64 = 1e-6;
 /// Largest weight of a loss: products with gradients stay finite in single precision.
 const MAX_WEIGHT: f64 = 1e12;
 /// Longest time of a frame or between frames [s]: an hour.
+/// Memory of a run [GB].
+const MIN_MEMORY: f64 = 1e-3;
+const MAX_MEMORY: f64 = 1e5;
 const MAX_TIME: f64 = 3600.0;
 /// Longest readout, and delay of depth [s].
 const MAX_DELAY: f64 = 1.0;
@@ -80,6 +83,7 @@ impl Config {
     pub(super) fn ranges(&self) -> Vec<Ranged> {
         let (input, f, t) = (&self.input, &self.formation, &self.tracking);
         let mut all = vec![
+            Ranged::new("memory", self.memory, MIN_MEMORY..=MAX_MEMORY),
             Ranged::new("input.crop_border", input.crop_border, 0.0..=MAX_BORDER),
             Ranged::new("input.minimum_gap", input.minimum_gap, 0.0..=MAX_TIME),
             Ranged::new("input.depth_delay", input.depth_delay, -MAX_DELAY..=MAX_DELAY),

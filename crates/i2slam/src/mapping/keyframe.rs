@@ -5,14 +5,14 @@ use crate::objective::{Observation, blur_length};
 use crate::reconstruction::FrameEstimate;
 use i2slam_formation::ShutterPoses;
 use i2slam_geometry::{Camera, Pose, Tangent};
-use std::sync::Arc;
+use i2slam_storage::Stored;
 
 /// A frame that stays in memory for mapping.
 #[derive(Clone, Debug)]
 pub(crate) struct Keyframe {
     /// Position among the session's frames.
     pub(crate) frame: usize,
-    pub(crate) observation: Arc<Observation>,
+    pub(crate) observation: Stored<Observation>,
     pub(crate) adjacent: AdjacentFrames,
 }
 

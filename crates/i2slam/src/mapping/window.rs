@@ -87,7 +87,8 @@ fn random_points(
     camera: &Camera<f64>,
     random: &mut Random,
 ) -> Vec<Vec3<f64>> {
-    let depth = &current.observation.depth.data;
+    let observation = current.observation.get();
+    let depth = &observation.depth.data;
     let valid: Vec<usize> = (0..depth.len()).filter(|&i| depth[i] > 0.0).collect();
     if valid.is_empty() {
         return Vec::new();
@@ -121,15 +122,16 @@ mod tests {
     use crate::objective::Observation;
     use i2slam_formation::ShutterPoses;
     use i2slam_geometry::Pose;
-    use std::sync::Arc;
+    use i2slam_storage::ScratchStore;
 
     /// In mid-sequence the neighbour of a frame is the keyframe before it.
     #[test]
     fn a_window_has_the_keyframe_before_its_frame() {
         let camera = Camera { width: 8, height: 8, fx: 8.0, fy: 8.0, cx: 4.0, cy: 4.0 };
         let blank = Observation::new(Image::new(8, 8, 3), Image::new(8, 8, 1));
-        let (observation, adjacent) = (Arc::new(blank), AdjacentFrames::default());
-        let keyframe = |frame| Keyframe { frame, observation: Arc::clone(&observation), adjacent };
+        let observation = ScratchStore::in_memory().insert(blank);
+        let adjacent = AdjacentFrames::default();
+        let keyframe = |frame| Keyframe { frame, observation: observation.clone(), adjacent };
         let still = ShutterPoses::still(Pose::identity());
         let frames: Vec<FrameEstimate> =
             (0..6).map(|index| FrameEstimate::at_pose(index, 0.0, still)).collect();

@@ -2,10 +2,14 @@
 
 use super::ssim::SsimReference;
 use i2slam_geometry::Image;
+use i2slam_storage::{Storable, append_floats, floats};
 use std::sync::{Arc, OnceLock};
 
 /// Relative standard deviation up to which a depth with variance has full weight.
 const FULL_WEIGHT_SIGMA: f32 = 0.003;
+
+/// Planes in memory: three of colour, one of depth, six means for SSIM.
+const KEPT_PLANES: usize = 10;
 
 /// Colour and depth of a frame, cleaned of values that are negative or not finite.
 #[derive(Debug)]
@@ -69,6 +73,51 @@ impl Observation {
     /// Number of pixels with a depth reading.
     pub fn valid_depths(&self) -> usize {
         self.depth.data.iter().filter(|&&d| d > 0.0).count()
+    }
+}
+
+/// Sizes of an observation.
+#[derive(Clone, Copy, Debug)]
+pub struct ObservationShape {
+    width: usize,
+    height: usize,
+    has_variance: bool,
+    has_depth: bool,
+}
+
+/// Means for SSIM are computed again.
+impl Storable for Observation {
+    type Shape = ObservationShape;
+
+    fn shape(&self) -> ObservationShape {
+        let (width, height) = (self.colour.width, self.colour.height);
+        let has_variance = self.depth_variance.is_some();
+        ObservationShape { width, height, has_variance, has_depth: self.has_depth }
+    }
+
+    fn memory(&self) -> usize {
+        let planes = KEPT_PLANES + usize::from(self.depth_variance.is_some());
+        planes * self.depth.pixels() * size_of::<f32>()
+    }
+
+    fn write(&self, bytes: &mut Vec<u8>) {
+        append_floats(bytes, &self.colour.data);
+        append_floats(bytes, &self.depth.data);
+        self.depth_variance.iter().for_each(|variance| append_floats(bytes, &variance.data));
+    }
+
+    fn read(shape: &ObservationShape, bytes: &[u8]) -> Self {
+        let (width, height) = (shape.width, shape.height);
+        let mut rest = bytes;
+        let mut image = |channels: usize| {
+            let (first, others) = rest.split_at(channels * width * height * size_of::<f32>());
+            rest = others;
+            Image { width, height, channels, data: floats(first) }
+        };
+        let (colour, depth) = (Arc::new(image(3)), Arc::new(image(1)));
+        let depth_variance = shape.has_variance.then(|| image(1));
+        let (has_depth, ssim_reference) = (shape.has_depth, OnceLock::new());
+        Self { colour, depth, depth_variance, has_depth, ssim_reference }
     }
 }
 

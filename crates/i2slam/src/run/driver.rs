@@ -234,6 +234,7 @@ pub(super) fn new_session(
     }
     let mut session = (kind.session)(config, camera, frame_rate);
     session.set_cancellation(context.cancellation.clone());
+    session.set_scratch_folder(&options.scratch_folder);
     if let Some(valid_mask) = &sequence.valid_mask {
         session.set_valid_mask(Arc::clone(valid_mask));
     }

@@ -104,6 +104,9 @@ pub struct RunOptions {
     pub poses: PoseSource,
     /// Options for opening the sequence, or the pictures of imported keyframes.
     pub open: OpenOptions,
+    /// Folder for a file of pictures that are beyond [`Config::memory`]: that of the system for
+    /// temporary files unless set.
+    pub scratch_folder: PathBuf,
 }
 
 impl RunOptions {
@@ -121,7 +124,7 @@ impl RunOptions {
             open.turn_pictures = true;
             open.max_side = Some(COLOUR_SIDE);
         }
-        Self { config, poses, open }
+        Self { config, poses, open, scratch_folder: std::env::temp_dir() }
     }
 
     /// Colour and depth with the settings `default`.

@@ -86,7 +86,8 @@ impl FrameTracker {
                     (adjacent.or_else(|| earlier.last().cloned()), &*context.frames)
                 }
             };
-            let frame = (&mut estimate, &keyframe.observation.colour);
+            let observation = keyframe.observation.get();
+            let frame = (&mut estimate, &observation.colour);
             self.localize(mapper, context, frame, previous.as_ref(), others);
             if keyframe.frame == context.gauge_frame(keyframe) {
                 estimate.tone = tone;

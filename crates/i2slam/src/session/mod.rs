@@ -28,8 +28,9 @@ use i2slam_compute::CancellationToken;
 use i2slam_geometry::{Camera, Image};
 use i2slam_radiance::hashgrid::SettingsError;
 use posed::SourcePoses;
-use state::SessionState;
+use state::{SessionState, scratch_store};
 use std::collections::BTreeMap;
+use std::path::Path;
 use std::sync::Arc;
 
 /// SLAM on one sequence.
@@ -107,6 +108,12 @@ impl Session {
         self.state.cancellation = cancellation;
     }
 
+    /// Sets the folder for a file of pictures that are beyond `memory`, before the first frame. It is
+    /// that of the system for temporary files otherwise.
+    pub fn set_scratch_folder(&mut self, folder: &Path) {
+        self.state.scratch = scratch_store(&self.config, folder);
+    }
+
     /// Final optimisation over all keyframes; stops when `on_step(done, total)` returns false.
     pub fn finish(&mut self, on_step: &mut dyn FnMut(usize, usize) -> bool) {
         if self.state.keyframes.is_empty() || self.failure.is_some() {
@@ -119,6 +126,7 @@ impl Session {
         if self.source.is_some() {
             self.state.warn_of_keyframes_not_found();
         }
+        self.state.warn_of_scratch();
     }
 
     /// Frames so far, in order of their index.

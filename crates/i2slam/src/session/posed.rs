@@ -52,6 +52,7 @@ impl Session {
         session.keep_world();
         session.is_readout_given = self.is_readout_given;
         session.set_cancellation(self.state.cancellation.clone());
+        session.state.scratch = Arc::clone(&self.state.scratch);
         if let Some(valid_mask) = &self.state.valid_mask {
             session.set_valid_mask(Arc::clone(valid_mask));
         }
@@ -82,6 +83,7 @@ impl Session {
         }
         let position = self.state.frames.partition_point(|f| f.index < keyframe.index);
         let (mut estimate, observation) = self.initial_estimate(position, keyframe, adjacent);
+        let observation = self.state.scratch.insert(observation);
         let maps = estimate.keyframe;
         estimate.keyframe &= is_keyframe;
         self.insert(position, estimate);
@@ -102,9 +104,10 @@ impl Session {
         let position = keyframe.frame;
         if self.config.map.kind == MapKind::Gaussian && !self.mapper.is_empty() {
             let mut estimate = self.state.frames[position].clone();
+            let observation = keyframe.observation.get();
             let previous = keyframe.adjacent.previous_frame(&estimate);
             let (mapper, tracker, context) = self.mapping();
-            let frame = (&mut estimate, &keyframe.observation.colour);
+            let frame = (&mut estimate, &observation.colour);
             let others = &context.frames[..position];
             tracker.localize(mapper, &context, frame, previous.as_ref(), others);
             self.state.frames[position] = estimate;
@@ -146,7 +149,7 @@ impl Session {
         position: usize,
         keyframe: PosedKeyframe,
         adjacent: AdjacentFrames,
-    ) -> (FrameEstimate, Arc<Observation>) {
+    ) -> (FrameEstimate, Observation) {
         let PosedKeyframe { index, timestamp, colour, world_from_camera, depth, .. } = keyframe;
         let source = self.source.get_or_insert_default();
         let world_from_camera = source.place_in_world(world_from_camera);
@@ -181,7 +184,7 @@ impl Session {
         if let Some(motion) = known.or_else(from_previous) {
             estimate.shutter = self.initial_shutter(&estimate, motion);
         }
-        (estimate, Arc::new(observation))
+        (estimate, observation)
     }
 
     /// Index of the response of a keyframe to be added at a position: the sequence's, or its own, a

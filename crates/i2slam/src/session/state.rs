@@ -7,8 +7,13 @@ use crate::warning::Warning;
 use i2slam_compute::{CancellationToken, Random};
 use i2slam_formation::{CameraResponse, NodeSpacing};
 use i2slam_geometry::{Camera, Image};
+use i2slam_storage::ScratchStore;
 use std::fmt::Display;
+use std::path::Path;
 use std::sync::Arc;
+
+/// Share of pictures in the memory of a run: the map, its renders, points and tracks take the rest.
+const PICTURE_SHARE: f64 = 0.5;
 
 /// Estimates, keyframes and responses of a session, and what mapping needs besides.
 pub(super) struct SessionState {
@@ -19,6 +24,8 @@ pub(super) struct SessionState {
     pub(super) valid_mask: Option<Arc<Image<bool>>>,
     pub(super) warnings: Vec<Warning>,
     pub(super) cancellation: CancellationToken,
+    /// Pictures of keyframes.
+    pub(super) scratch: Arc<ScratchStore>,
     random: Random,
 }
 
@@ -31,6 +38,7 @@ impl SessionState {
             valid_mask: None,
             warnings: Vec::new(),
             cancellation: CancellationToken::default(),
+            scratch: scratch_store(config, &std::env::temp_dir()),
             random: Random::new(config.seed),
         }
     }
@@ -68,6 +76,18 @@ impl SessionState {
         }));
     }
 
+    /// Warns of pictures that could not be read back.
+    pub(super) fn warn_of_scratch(&mut self) {
+        let failure = self.scratch.failure();
+        self.warnings.extend(failure.map(|reason| {
+            format!(
+                "pictures that had left memory could not be read back ({reason}), and the map was \
+                 made with black ones instead: check the disk, or allow more `memory`"
+            )
+            .into()
+        }));
+    }
+
     pub(super) fn reconstruction(
         &self,
         config: &Config,
@@ -85,6 +105,11 @@ impl SessionState {
             rolling_shutter_readout,
         }
     }
+}
+
+/// Memory for the pictures of past frames, others in a file in a folder.
+pub(super) fn scratch_store(config: &Config, folder: &Path) -> Arc<ScratchStore> {
+    ScratchStore::new((PICTURE_SHARE * 1e9 * config.memory) as usize, folder)
 }
 
 /// The camera response before the first frame.

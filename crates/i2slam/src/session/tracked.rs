@@ -28,7 +28,7 @@ impl Session {
             None => Arc::new(Image::new(self.camera.width, self.camera.height, 1)),
         };
         check_image(frame.index, ("depth", 1), &depth, &self.camera)?;
-        let observation = Arc::new(Observation::new(Arc::clone(&frame.colour), depth));
+        let observation = Observation::new(Arc::clone(&frame.colour), depth);
         let usable = self.is_usable(frame, &observation);
         let (mut estimate, starts_map) = self.tracked_estimate(frame, &observation, usable);
         let position = self.state.frames.len();
@@ -44,19 +44,19 @@ impl Session {
     }
 
     /// Maps the last frame, and decides whether it becomes a keyframe.
-    fn map_tracked(&mut self, observation: Arc<Observation>) -> Result<(), SessionError> {
+    fn map_tracked(&mut self, observation: Observation) -> Result<(), SessionError> {
         let clock = Instant::now();
         let starts_map = self.mapper.is_empty();
-        let SessionState { frames, keyframes, .. } = &mut self.state;
+        let SessionState { frames, keyframes, scratch, .. } = &mut self.state;
         let position = frames.len() - 1;
-        let current =
-            Keyframe { frame: position, observation, adjacent: AdjacentFrames::default() };
         let last = keyframes.last().map(|k| k.frame);
         frames[position].keyframe = starts_map
             || last.is_none_or(|last| {
-                let mapping = &self.config.mapping;
-                is_keyframe(mapping, &self.camera, frames, last, &current.observation)
+                is_keyframe(&self.config.mapping, &self.camera, frames, last, &observation)
             });
+        let observation = scratch.insert(observation);
+        let current =
+            Keyframe { frame: position, observation, adjacent: AdjacentFrames::default() };
         if frames[position].keyframe {
             keyframes.push(current.clone());
         }
@@ -152,6 +152,8 @@ impl Session {
             Some(depth) if config.input.depth_stamps => depth.timestamp + config.input.depth_delay,
             _ => frame.timestamp,
         };
+        let last_keyframe =
+            keyframes.last().map(|k| (k.observation.get(), frames[k.frame].depth_pose()));
         let context = TrackingContext {
             config,
             camera,
@@ -162,7 +164,7 @@ impl Session {
             previous: frames.last(),
             before_previous: frames.len().checked_sub(2).map(|i| &frames[i]),
             expected: None,
-            keyframe: keyframes.last().map(|k| (&*k.observation, frames[k.frame].depth_pose())),
+            keyframe: last_keyframe.as_ref().map(|(observation, pose)| (&**observation, *pose)),
             cancellation,
         };
         let last = responses.len() - 1;

@@ -344,6 +344,7 @@ mod tests {
     use crate::track::tracks::Tracks;
     use i2slam_check::noise;
     use i2slam_geometry::Image;
+    use i2slam_storage::ScratchStore;
 
     /// Corners at the centres of pixels of a wall whose readings are noisy, and cost ratio of half a
     /// pixel's displacement to none.
@@ -356,7 +357,10 @@ mod tests {
             inverse.recip() as f32
         });
         let mut state = SfmState::new(camera, Tracks { frames: 1, ..Tracks::default() });
-        let map = DepthMap::new(&DepthPicture { depth: &depth, timestamp: 0.0 });
+        let map = DepthMap::new(
+            &DepthPicture { depth: &depth, timestamp: 0.0 },
+            &ScratchStore::in_memory(),
+        );
         state.depth_maps = Arc::new(vec![Some(map)]);
         let at = |index: usize| [8.5 + 4.0 * (index % 75) as f64, 8.5 + 4.0 * (index / 75) as f64];
         let of = |index: usize| Prediction {

@@ -1,8 +1,9 @@
 //! Depth pictures as they are kept, and their readings between pixels.
 
-use super::scratch::{ScratchFile, StoredImage};
+use super::stored_picture::DepthImage;
 use crate::alignment::{halved_depth, is_one_surface};
 use i2slam_geometry::Image;
+use i2slam_storage::{ScratchStore, Stored};
 use std::sync::Arc;
 
 /// Longer side up to which pictures are kept whole; larger ones are halved [px].
@@ -21,7 +22,7 @@ pub struct DepthPicture<'a> {
 #[derive(Clone, Debug)]
 pub(crate) struct DepthMap {
     /// Depth [m], 0 where there is no reading.
-    depth: StoredImage<f32>,
+    depth: Stored<DepthImage>,
     /// Pixels of the picture from one reading to the next.
     step: usize,
     /// [s]
@@ -34,21 +35,22 @@ pub(crate) fn halvings(width: usize, height: usize) -> u32 {
 }
 
 impl DepthMap {
-    pub(crate) fn new(picture: &DepthPicture<'_>) -> Self {
+    pub(crate) fn new(picture: &DepthPicture<'_>, scratch: &Arc<ScratchStore>) -> Self {
         let halvings = halvings(picture.depth.width, picture.depth.height);
         let mut depth = picture.depth.clone();
         (0..halvings).for_each(|_| depth = halved_depth(&depth));
-        Self { depth: StoredImage::new(depth), step: 1 << halvings, timestamp: picture.timestamp }
+        let depth = scratch.insert(DepthImage(depth));
+        Self { depth, step: 1 << halvings, timestamp: picture.timestamp }
     }
 
     /// True if any pixel has a reading.
     pub(crate) fn has_readings(&self) -> bool {
-        self.depth.image().data.iter().any(|z| *z > 0.0 && z.is_finite())
+        self.depth.get().0.data.iter().any(|z| *z > 0.0 && z.is_finite())
     }
 
     /// Drops the readings of blocks of the picture.
     pub(crate) fn clear(&mut self, blocks: &Image<bool>) {
-        let mut depth = Image::clone(&self.depth.image());
+        let mut depth = self.depth.get().0.clone();
         let (width, height) = (depth.width, depth.height);
         for (i, value) in depth.data.iter_mut().enumerate() {
             let (column, row) = (i % width, i / width);
@@ -56,32 +58,31 @@ impl DepthMap {
                 *value = 0.0;
             }
         }
-        self.depth = StoredImage::new(depth);
+        self.depth = self.depth.insert_beside(DepthImage(depth));
     }
 
     /// The readings, read where they are not in memory.
     pub(crate) fn readings(&self) -> DepthReadings {
-        DepthReadings { depth: self.depth.image(), step: self.step }
-    }
-
-    /// Moves the readings to a file.
-    pub(crate) fn move_to(&mut self, file: &Arc<ScratchFile>) {
-        self.depth.move_to(file);
+        DepthReadings { depth: self.depth.get(), step: self.step }
     }
 }
 
 /// Readings of a frame in memory.
 pub(crate) struct DepthReadings {
-    /// Depth [m], 0 where there is no reading.
-    pub(crate) depth: Arc<Image<f32>>,
+    depth: Arc<DepthImage>,
     step: usize,
 }
 
 impl DepthReadings {
+    /// Depth [m], 0 where there is no reading.
+    pub(crate) fn depth(&self) -> &Image<f32> {
+        &self.depth.0
+    }
+
     /// Inverse depth at a position of the picture [px], interpolated between four readings of one
     /// surface; `None` without.
     pub(crate) fn inverse_at(&self, at: [f64; 2]) -> Option<f64> {
-        interpolated_depth(&self.depth, at.map(|v| v / self.step as f64)).map(f64::recip)
+        interpolated_depth(self.depth(), at.map(|v| v / self.step as f64)).map(f64::recip)
     }
 }
 
@@ -116,7 +117,10 @@ mod tests {
                 let near = if c >= 200 { 3.0 } else { 1.0 };
                 (1.0 / (near * plane(c as f64 + 0.5, r as f64 + 0.5))) as f32
             });
-            let map = DepthMap::new(&DepthPicture { depth: &depth, timestamp: 0.0 });
+            let map = DepthMap::new(
+                &DepthPicture { depth: &depth, timestamp: 0.0 },
+                &ScratchStore::in_memory(),
+            );
             let map = map.readings();
             let found = map.inverse_at([50.3, 70.9]).expect("a surface");
             assert!((found - plane(50.3, 70.9)).abs() < 1e-6, "{width}: {found}");

@@ -39,13 +39,19 @@ mod tests {
     use crate::fixtures::camera;
     use crate::track::tracks::Tracks;
     use i2slam_geometry::Image;
+    use i2slam_storage::ScratchStore;
 
     /// Timestamps of the depth of frames at 0, 30, 60 and 90 ms after pairing [ms].
     fn paired(recorded: [Option<f64>; 4], delay: f64) -> Vec<Option<f64>> {
         let mut state = SfmState::new(camera(), Tracks { frames: 4, ..Tracks::default() });
         state.timestamps = Arc::new(vec![0.0, 0.03, 0.06, 0.09]);
         let depth = Image::new(4, 4, 1);
-        let map = |ms: f64| DepthMap::new(&DepthPicture { depth: &depth, timestamp: 1e-3 * ms });
+        let map = |ms: f64| {
+            DepthMap::new(
+                &DepthPicture { depth: &depth, timestamp: 1e-3 * ms },
+                &ScratchStore::in_memory(),
+            )
+        };
         state.depth_maps = Arc::new(recorded.map(|ms| ms.map(map)).to_vec());
         state.depth_model.delay = 1e-3 * delay;
         pair_depth(&mut state);

@@ -57,6 +57,7 @@ mod tests {
     use crate::fixtures::{self, camera};
     use i2slam_check::noise;
     use i2slam_geometry::{Image, Rotation, Vec3};
+    use i2slam_storage::ScratchStore;
     use std::sync::Arc;
 
     const FRAMES: usize = 12;
@@ -86,7 +87,10 @@ mod tests {
                     depth.data[(row + r - 1) * 320 + column + c - 1] = z as f32;
                 }
             }
-            DepthMap::new(&DepthPicture { depth: &depth, timestamp: frame as f64 })
+            DepthMap::new(
+                &DepthPicture { depth: &depth, timestamp: frame as f64 },
+                &ScratchStore::in_memory(),
+            )
         };
         let maps = (0..FRAMES).map(|frame| (frame >= 8).then(|| picture(frame))).collect();
         state.depth_maps = Arc::new(maps);

@@ -214,7 +214,7 @@ impl PreparedView {
                 .map_or_else(Pose::identity, |(now, then)| then.inverse() * now);
             let scale = camera.fx / state.camera.fx;
             let shift = state.depth_model.shift.map(|v| scale * v);
-            register_depth(&map.readings().depth, &camera, shift, &depth_from_colour)
+            register_depth(map.readings().depth(), &camera, shift, &depth_from_colour)
         };
         let depth = state.depth_maps.get(frame).and_then(Option::as_ref).map(registered);
         let motion = ExposureMotion {

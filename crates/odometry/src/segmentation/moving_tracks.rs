@@ -168,6 +168,7 @@ mod tests {
     use crate::track::tracks::{DepthReading, Observation};
     use i2slam_check::noise;
     use i2slam_geometry::{Pose, Rotation, Vec3};
+    use i2slam_storage::ScratchStore;
 
     const FRAMES: usize = 26;
     /// Points of the object: a third of those in a picture.
@@ -218,7 +219,10 @@ mod tests {
             state.tracks.tracks.push(Track { observations });
         }
         let near = Image { data: vec![1.0; 320 * 240], ..Image::new(320, 240, 1) };
-        let map = DepthMap::new(&DepthPicture { depth: &near, timestamp: 0.0 });
+        let map = DepthMap::new(
+            &DepthPicture { depth: &near, timestamp: 0.0 },
+            &ScratchStore::in_memory(),
+        );
         let maps = if with_depth { vec![Some(map); FRAMES] } else { Vec::new() };
         state.depth_maps = Arc::new(maps);
         state.by_frame = Arc::new(state.tracks.tracks_by_frame());
@@ -238,7 +242,8 @@ mod tests {
             assert_eq!(state.landmarks.len(), state.tracks.tracks.len());
             // Frames near the ends show less of the room than of the object.
             for map in state.depth_maps.iter().take(FRAMES - 8).skip(8).flatten() {
-                let depth = map.readings().depth;
+                let readings = map.readings();
+                let depth = readings.depth();
                 let share = depth.data.iter().filter(|z| **z == 0.0).count() as f64
                     / depth.data.len() as f64;
                 assert!((0.15..0.45).contains(&share), "{share} of the depth is dropped");

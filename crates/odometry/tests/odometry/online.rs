@@ -2,10 +2,8 @@
 
 use crate::scene::{camera, depth, moving, picture};
 use i2slam_geometry::{Image, Pose};
-use i2slam_odometry::{
-    DepthPicture, FrameUpdate, FrontEnd, Intrinsics, Progress, ScratchFile, TrackingStatus,
-};
-use std::fs::File;
+use i2slam_odometry::{DepthPicture, FrameUpdate, FrontEnd, Intrinsics, Progress, TrackingStatus};
+use i2slam_storage::ScratchStore;
 use std::sync::Arc;
 
 const FRAMES: usize = 24;
@@ -143,10 +141,10 @@ fn a_camera_that_goes_forth_and_back_needs_no_more_keyframes() {
 
 #[test]
 fn pictures_in_a_file_change_no_byte_of_the_result() {
-    let run = |scratch: Option<Arc<ScratchFile>>| {
+    let run = |scratch: Option<Arc<ScratchStore>>| {
         let mut front_end = FrontEnd::new(Intrinsics::Known(camera()));
-        if let Some(file) = scratch {
-            front_end = front_end.with_scratch(file);
+        if let Some(scratch) = scratch {
+            front_end = front_end.with_scratch(scratch);
         }
         for (i, pose) in (0..60).map(|i| moving(i.min(60 - i))).enumerate() {
             let (colour, measured) = (picture(1, pose, 1.0), measured(pose));
@@ -157,12 +155,10 @@ fn pictures_in_a_file_change_no_byte_of_the_result() {
         (found.poses, found.online_poses, found.deviations)
     };
     let folder = i2slam_check::TemporaryFolder::new("front-end-scratch");
-    let mut options = File::options();
-    let file = options.read(true).write(true).create_new(true).open(folder.join("pictures"));
-    let scratch = Arc::new(ScratchFile::new(file.expect("a file")));
+    let scratch = ScratchStore::new(300_000, folder.join(""));
     assert_eq!(run(Some(Arc::clone(&scratch))), run(None));
     assert_eq!(scratch.failure(), None);
-    assert!(std::fs::metadata(folder.join("pictures")).expect("the file").len() > 1_000_000);
+    assert!(scratch.file_bytes() > 1_000_000 && scratch.resident_bytes() <= 300_000);
 }
 
 #[test]

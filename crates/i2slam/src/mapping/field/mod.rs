@@ -131,7 +131,7 @@ impl FieldMapper {
         field.replace(map);
         for keyframe in context.keyframes {
             let depth = placement_depth(
-                &keyframe.observation,
+                &keyframe.observation.get(),
                 &context.config.mapping,
                 context.valid_mask,
                 None,
@@ -189,8 +189,13 @@ impl FieldMapper {
         let config = context.config;
         let curves = context.response_curves(views);
         let rays = config.hashgrid.rays / views.len().max(1);
-        let drawn = views.iter().map(|view| sample_rays(context, view, &curves, rays));
-        let drawn: Vec<PixelBatch<'_>> = drawn.collect();
+        let observations: Vec<Arc<Observation>> =
+            views.iter().map(|view| view.observation.get()).collect();
+        let drawn: Vec<PixelBatch<'_>> = views
+            .iter()
+            .zip(&observations)
+            .map(|(view, observation)| sample_rays(context, (view, observation), &curves, rays))
+            .collect();
         let Some(field) = &mut self.field else { return };
         let evaluations = field.batch.map(
             &field.current.map,
@@ -230,12 +235,11 @@ impl FieldMapper {
 /// Rays of a keyframe for about `rays` rays in all: random pixels, a ray per virtual camera.
 fn sample_rays<'a>(
     context: &mut MappingContext<'_>,
-    keyframe: &'a Keyframe,
+    (keyframe, observation): (&Keyframe, &'a Observation),
     curves: &'a BTreeMap<usize, ResponseCurve<f32>>,
     rays: usize,
 ) -> PixelBatch<'a> {
     let estimate = &context.frames[keyframe.frame];
-    let observation = &*keyframe.observation;
     let formation = &context.config.formation;
     let exposure = (estimate.shutter, estimate.readout);
     let sampling = sampling(formation, context.camera, exposure, observation);
@@ -290,7 +294,7 @@ impl Mapper for FieldMapper {
         current: &Keyframe,
     ) -> Result<Growth, SettingsError> {
         let depth = placement_depth(
-            &current.observation,
+            &current.observation.get(),
             &context.config.mapping,
             context.valid_mask,
             None,

@@ -75,7 +75,7 @@ impl GaussianMapper {
         let estimate = &context.frames[keyframe.frame];
         let exposure = (estimate.shutter, estimate.readout);
         let formation = &context.config.formation;
-        let sampling = sampling(formation, context.camera, exposure, &keyframe.observation);
+        let sampling = sampling(formation, context.camera, exposure, &keyframe.observation.get());
         self.optimizer.step(context, &mut self.current, keyframe, sampling);
     }
 
@@ -151,7 +151,7 @@ impl Mapper for GaussianMapper {
         let render = (!self.current.map.is_empty()).then(|| {
             self.current.objective.render(&self.current.map, estimate.depth_pose()).clone()
         });
-        let (parameters, observation) = (&config.parameters.gaussians, &current.observation);
+        let (parameters, observation) = (&config.parameters.gaussians, &*current.observation.get());
         let source = SourceFrame {
             camera: context.camera,
             world_from_depth: estimate.depth_pose(),

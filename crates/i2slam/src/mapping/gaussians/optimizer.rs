@@ -96,7 +96,7 @@ impl GaussianOptimizer {
         self.gradient.reset(map.len());
         let mut evaluation = objective.map(
             map,
-            &keyframe.observation,
+            &keyframe.observation.get(),
             &variables,
             SSIM_SHARE,
             (IMAGE_WEIGHT, config.mapping.depth_weight),

@@ -239,8 +239,13 @@ impl JointFieldMapper {
             field.shells.as_ref().map_or(0, |_| config.parameters.keyframed.surface_samples);
         let limits = (config.hashgrid.rays, samples);
         let pixels = pixel_budget(limits, field.batch.samples_per_pixel()) / views.len().max(1);
-        let drawn: Vec<PixelBatch<'_>> =
-            views.iter().map(|view| sample_pixels(context, view, &curves, pixels)).collect();
+        let observations: Vec<Arc<Observation>> =
+            views.iter().map(|view| view.observation.get()).collect();
+        let drawn: Vec<PixelBatch<'_>> = views
+            .iter()
+            .zip(&observations)
+            .map(|(view, observation)| sample_pixels(context, (view, observation), &curves, pixels))
+            .collect();
         let with_poses =
             weights.camera_rate > 0.0 && self.steps >= config.parameters.keyframed.pose_delay;
         if with_poses

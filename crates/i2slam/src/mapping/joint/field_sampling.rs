@@ -23,7 +23,7 @@ use std::collections::BTreeMap;
 /// Random pixels of a keyframe, at most `count`; each takes a ray per virtual camera.
 pub(super) fn sample_pixels<'a>(
     context: &mut MappingContext<'_>,
-    keyframe: &'a Keyframe,
+    (keyframe, observation): (&Keyframe, &'a Observation),
     curves: &'a BTreeMap<usize, ResponseCurve<f32>>,
     count: usize,
 ) -> PixelBatch<'a> {
@@ -36,7 +36,6 @@ pub(super) fn sample_pixels<'a>(
     };
     let tone = curves.get(&estimate.response).map(|curve| Formation { tone: estimate.tone, curve });
     let variables = FrameVariables { exposure, tone };
-    let observation = &*keyframe.observation;
     let size = observation.depth.pixels();
     let pixels = random_pixels(size, count.max(1), context.valid_mask, context.random);
     PixelBatch { observation, variables, pixels }
@@ -113,7 +112,7 @@ fn required_extent(
     share: f64,
 ) -> f64 {
     let from_centre = chebyshev_distance(position(context, keyframe), centre);
-    let depth = &keyframe.observation.depth;
+    let depth = &keyframe.observation.get().depth;
     let view_distance = surface_distance(context.camera, depth);
     from_centre + view_distance.unwrap_or(share * f64::from(context.config.keyframed.reach))
 }
@@ -125,7 +124,7 @@ const INPAINTED_RANGE: f32 = 1.3;
 
 /// Whether any keyframe has estimated depth in most pixels.
 pub(super) fn has_surfaces(context: &MappingContext<'_>) -> bool {
-    context.keyframes.iter().any(|keyframe| has_surface_depth(&keyframe.observation))
+    context.keyframes.iter().any(|keyframe| has_surface_depth(&keyframe.observation.get()))
 }
 
 /// Settings of a field around known surfaces: denser samples, and cells as fine as pictures.
@@ -141,8 +140,12 @@ pub(super) fn surface_shape(context: &MappingContext<'_>) -> FieldShape {
 
 /// Median depth of all keyframes, from every seventh pixel; `None` without depth.
 fn median_depth(context: &MappingContext<'_>) -> Option<f32> {
-    let depths = context.keyframes.iter().flat_map(|k| k.observation.depth.data.iter().step_by(7));
-    median(&mut depths.copied().filter(|&depth| depth > 0.0).collect::<Vec<f32>>())
+    let mut depths = Vec::new();
+    for keyframe in context.keyframes {
+        let depth = &keyframe.observation.get().depth.data;
+        depths.extend(depth.iter().step_by(7).filter(|depth| **depth > 0.0));
+    }
+    median(&mut depths)
 }
 
 /// Shells of all keyframes; `None` if none has estimated depth in most pixels.
@@ -166,9 +169,9 @@ pub(super) fn mark_view(
     context: &MappingContext<'_>,
     keyframe: &Keyframe,
 ) {
-    let (observation, pose) = (&*keyframe.observation, context.frames[keyframe.frame].middle());
+    let (observation, pose) = (keyframe.observation.get(), context.frames[keyframe.frame].middle());
     let inpainted = inpaint_estimated(&observation.depth, None);
-    let everywhere = !has_surface_depth(observation);
+    let everywhere = !has_surface_depth(&observation);
     let shell = context.config.parameters.field.shell;
     let range = |pixel: usize, depth: f32| match observation.depth.data[pixel] > 0.0 {
         _ if everywhere => (map.march.near, f32::MAX),

@@ -82,8 +82,9 @@ impl OnlineSession {
         tracked: Camera<f64>,
         on_mapped: impl FnMut(&FrameEstimate) + Send + 'static,
     ) -> Self {
+        let scratch = Arc::clone(&session.state.scratch);
         Self {
-            front_end: FrontEnd::new(Intrinsics::Known(tracked)),
+            front_end: FrontEnd::new(Intrinsics::Known(tracked)).with_scratch(scratch),
             mapping: OnlineMapping::new(session, Box::new(on_mapped)),
             indices: Vec::new(),
             online: Vec::new(),
