@@ -17,6 +17,9 @@ use i2slam_dataset::Sequence;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
+/// Frames and corrections that wait for the map at most.
+const MAX_WAITING: usize = 32;
+
 /// True if frames are mapped while they come; others are mapped after the last one. By colour alone
 /// depth is estimated with poses, and those known when a frame comes are not good enough: 6 dB on
 /// dining-room.
@@ -48,6 +51,7 @@ pub(super) fn find_path(
     let given = GivenPictures::give(sequence.len(), &progress, |place| {
         let tracked = picture(&large, place)?;
         let mapped = if is_one_size { tracked.clone() } else { picture(sequence, place)? };
+        online.wait_for_map(MAX_WAITING);
         Ok(online.push_sizes(&tracked, mapped)?.is_keyframe)
     });
     let (path, mapping) = match online.into_path(&progress) {

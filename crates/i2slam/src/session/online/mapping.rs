@@ -121,6 +121,16 @@ impl OnlineMapping {
         self.queue.session()
     }
 
+    /// Number of jobs that wait for the map.
+    pub(super) fn waiting_for_map(&self) -> usize {
+        self.queue.waiting()
+    }
+
+    /// Waits until at most so many jobs wait for the map.
+    pub(super) fn wait_for_map(&self, waiting: usize) {
+        self.queue.wait_for(waiting);
+    }
+
     /// Takes the last frame of the front end, whose picture has the size of those that are mapped.
     /// Returns the poses that changed since the last call, by the index of their frames.
     pub(super) fn add_frame(

@@ -1,6 +1,7 @@
 //! SLAM while the camera moves: the pose of a frame when it comes, and a map that follows the
 //! corrections of poses.
 
+mod backlog;
 mod mapping;
 mod queue;
 mod registration;
@@ -98,7 +99,8 @@ impl OnlineSession {
 
     /// Tracks a frame, and hands frames to the map as soon as those after them have come.
     ///
-    /// It waits for the map where this is more than 32 frames behind.
+    /// It never waits for the map: frames that wait to be mapped are kept within `memory`, others in
+    /// a file. `mapping.seconds_per_frame` lets a map keep up with a camera.
     ///
     /// # Errors
     ///
@@ -128,6 +130,17 @@ impl OnlineSession {
         );
         let (status, is_keyframe) = (update.status, update.is_keyframe);
         Ok(OnlineUpdate { index, timestamp, world_from_camera, status, is_keyframe, corrections })
+    }
+
+    /// Waits until at most so many frames and corrections wait for the map, for sources that wait in
+    /// turn, such as files.
+    pub fn wait_for_map(&self, waiting: usize) {
+        self.mapping.wait_for_map(waiting);
+    }
+
+    /// Number of frames and corrections that wait for the map.
+    pub fn waiting_for_map(&self) -> usize {
+        self.mapping.waiting_for_map()
     }
 
     /// A copy of map and frames so far: those that the map has taken in. To be asked from another

@@ -1,19 +1,17 @@
 //! The thread that maps frames beside tracking, in the order in which the front end gave them.
 
 use super::super::{Session, SessionError};
+use super::backlog::Backlog;
 use crate::keyframes::PosedKeyframe;
 use crate::keyframes::delivery::{depth, into_estimated, posed_view};
 use crate::reconstruction::FrameEstimate;
-use i2slam_geometry::Pose;
+use i2slam_geometry::{Image, Pose};
 use i2slam_odometry::{DenseDepthEstimator, DepthModel, Keyframe, KeyframePictures, MeasuredDepth};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 
-/// Jobs that wait at most: tracking waits for mapping beyond, which bounds the memory of pictures.
-const MAX_WAITING: usize = 32;
 /// Keyframes whose pictures are kept: the reach of dense depth on either side.
 const KEPT_PICTURES: usize = 32;
 /// Keyframes after one that its depth is estimated with, where none is measured.
@@ -27,6 +25,21 @@ pub(super) enum Job {
     Correct(BTreeMap<usize, Pose<f64>>),
     /// The map begins anew.
     Restart,
+}
+
+impl Job {
+    /// Its pictures.
+    pub(super) fn pictures(&mut self) -> Vec<&mut Arc<Image<f32>>> {
+        match self {
+            Self::Keyframe(job) => {
+                let KeyframePictures { colour, depth } = &mut job.pictures;
+                let depth = depth.as_mut().map(|measured| &mut measured.depth);
+                [&mut job.posed.colour, colour].into_iter().chain(depth).collect()
+            }
+            Self::Between(job) => vec![&mut job.posed.colour, &mut job.measured.depth],
+            Self::Correct(_) | Self::Restart => Vec::new(),
+        }
+    }
 }
 
 /// A keyframe with what its depth is made of.
@@ -64,8 +77,7 @@ pub(crate) type OnMapped = Box<dyn FnMut(&FrameEstimate) + Send>;
 /// Jobs for a session on a thread of its own.
 pub(super) struct MappingQueue {
     session: Arc<Mutex<Session>>,
-    /// `None` once all jobs were sent.
-    jobs: Option<SyncSender<Job>>,
+    jobs: Arc<Backlog>,
     thread: Option<JoinHandle<Vec<SessionError>>>,
     /// Set once nobody wants the map.
     is_dropped: Arc<AtomicBool>,
@@ -74,8 +86,8 @@ pub(super) struct MappingQueue {
 impl MappingQueue {
     pub(super) fn new(session: Session, on_mapped: OnMapped) -> Self {
         let dense = dense_estimator(&session);
+        let jobs = Arc::new(Backlog::new(Arc::clone(&session.state.scratch)));
         let session = Arc::new(Mutex::new(session));
-        let (jobs, receiver) = sync_channel(MAX_WAITING);
         let is_dropped = Arc::new(AtomicBool::new(false));
         let worker = Worker {
             is_dropped: Arc::clone(&is_dropped),
@@ -87,16 +99,28 @@ impl MappingQueue {
             errors: Vec::new(),
             on_mapped,
         };
-        let thread = std::thread::spawn(move || worker.run(&receiver));
-        Self { session, jobs: Some(jobs), thread: Some(thread), is_dropped }
+        let received = Arc::clone(&jobs);
+        let thread = std::thread::spawn(move || {
+            // Nobody waits for a thread that ended by a panic, which `finish` tells.
+            let received = ClosedOnDrop(received);
+            worker.run(&received.0)
+        });
+        Self { session, jobs, thread: Some(thread), is_dropped }
     }
 
-    /// Sends a job; waits while too many do.
+    /// Sends a job.
     pub(super) fn send(&self, job: Job) {
-        if let Some(jobs) = &self.jobs {
-            // A thread that ended by a panic is told by `finish`.
-            let _ = jobs.send(job);
-        }
+        self.jobs.send(job);
+    }
+
+    /// Number of jobs that wait.
+    pub(super) fn waiting(&self) -> usize {
+        self.jobs.len()
+    }
+
+    /// Waits until at most so many jobs do.
+    pub(super) fn wait_for(&self, jobs: usize) {
+        self.jobs.wait_for(jobs);
     }
 
     /// The session between two jobs.
@@ -106,7 +130,7 @@ impl MappingQueue {
 
     /// Waits for all jobs; gives the session, and the errors of frames that could not be used.
     pub(super) fn finish(mut self) -> Result<(Session, Vec<SessionError>), MappingPanicked> {
-        self.jobs = None;
+        self.jobs.close();
         let thread = self.thread.take().map(JoinHandle::join);
         let errors = thread.unwrap_or_else(|| Ok(Vec::new())).map_err(|_| MappingPanicked)?;
         let mut session = self.session();
@@ -119,7 +143,7 @@ impl Drop for MappingQueue {
     /// Ends the thread after its present job.
     fn drop(&mut self) {
         self.is_dropped.store(true, Ordering::Relaxed);
-        self.jobs = None;
+        self.jobs.close();
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
         }
@@ -129,6 +153,15 @@ impl Drop for MappingQueue {
 fn dense_estimator(session: &Session) -> DenseDepthEstimator {
     DenseDepthEstimator::new(session.camera, Vec::new())
         .with_cancellation(session.state.cancellation.clone())
+}
+
+/// Closes a queue when its receiver ends.
+struct ClosedOnDrop(Arc<Backlog>);
+
+impl Drop for ClosedOnDrop {
+    fn drop(&mut self) {
+        self.0.close();
+    }
 }
 
 struct Worker {
@@ -147,8 +180,8 @@ struct Worker {
 
 impl Worker {
     /// Works until the last job was received.
-    fn run(mut self, jobs: &Receiver<Job>) -> Vec<SessionError> {
-        for job in jobs {
+    fn run(mut self, jobs: &Backlog) -> Vec<SessionError> {
+        while let Some(job) = jobs.receive() {
             if self.is_dropped() {
                 return self.errors;
             }
