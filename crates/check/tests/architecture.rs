@@ -19,7 +19,7 @@ const ARROWS: &[(&str, &[&str])] = &[
     ("formation", &["geometry", "compute"]),
     ("radiance", &["geometry", "compute"]),
     ("dataset", &["storage", "geometry", "compute"]),
-    ("odometry", &["geometry", "compute", "formation"]),
+    ("odometry", &["storage", "geometry", "compute", "formation"]),
     ("eval", &["geometry"]),
     ("synthetic", &["storage", "geometry", "compute", "dataset"]),
     ("i2slam", &["storage", "geometry", "compute", "formation", "radiance", "dataset", "odometry"]),

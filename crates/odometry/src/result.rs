@@ -128,11 +128,22 @@ impl Reconstruction {
         let delay = self.depth_model.as_ref().map_or(0.0, |model| model.delay);
         let of = |interval: f64| {
             let pose = (*self.poses.get(frame)?)?;
-            let later = depth_timestamp + delay - self.timestamps[frame];
-            let then = pose_later(&self.poses, &self.timestamps, frame, (later, interval))?;
+            let nearest = self.posed_frame_nearest(depth_timestamp + delay)?;
+            let later = depth_timestamp + delay - self.timestamps[nearest];
+            let then = pose_later(&self.poses, &self.timestamps, nearest, (later, interval))?;
             Some(then.inverse() * pose)
         };
         median_frame_interval(&self.timestamps).and_then(of).unwrap_or_else(Pose::identity)
+    }
+
+    /// The registered frame nearest to a time [s].
+    fn posed_frame_nearest(&self, time: f64) -> Option<usize> {
+        let end = self.timestamps.partition_point(|stamp| *stamp < time);
+        let is_posed = |frame: &usize| self.poses.get(*frame).is_some_and(Option::is_some);
+        let before = (0..end).rev().find(is_posed);
+        let after = (end..self.poses.len()).find(is_posed);
+        let distance = |frame: &usize| (self.timestamps[*frame] - time).abs();
+        before.into_iter().chain(after).min_by(|a, b| distance(a).total_cmp(&distance(b)))
     }
 
     /// Poses of all registered frames.
@@ -416,6 +427,14 @@ mod tests {
         let beside_gap = found.depth_from_colour(4, timestamps[4] + 0.01).translation;
         assert!((beside_gap + step * 0.3).norm() < 1e-12, "{beside_gap:?}");
         assert_eq!(found.depth_from_colour(9, 0.15), Pose::identity());
+        // 1.3 intervals later: on the parabola around frame 3, not 2.
+        let cubic = |i: i32| {
+            let x = 0.01 * f64::from(i).powi(3);
+            Some(Pose::new(Rotation::identity(), Vec3::new(x, 0.0, 0.0)))
+        };
+        found.poses = (0..9).map(cubic).collect();
+        let moved = found.depth_from_colour(2, timestamps[2] + 1.3 / 30.0).translation.x;
+        assert!((moved + 0.2821).abs() < 1e-9, "{moved}");
         found.poses[..4].fill(None);
         assert_eq!(found.depth_from_colour(4, timestamps[4] + 0.01), Pose::identity());
     }

@@ -22,8 +22,8 @@ const FRAMES_SHARING_STEPS: usize = 4;
 /// Maps the frames of a front end when their neighbours are known, and lets the map follow the
 /// corrections of their poses.
 ///
-/// A frame is mapped when the frame after it has come: its motion is known then, and the landmarks
-/// of a keyframe. What is sent to the map, and in which order, depends on the frames alone, so that
+/// A frame is mapped when the frame after it has come, and the camera is known where its depth was
+/// taken: its motion is known then, and the landmarks of a keyframe. What is sent to the map, and in which order, depends on the frames alone, so that
 /// the map does not depend on when its thread works.
 pub(crate) struct OnlineMapping {
     queue: MappingQueue,
@@ -69,6 +69,15 @@ struct WaitingFrame {
     number: usize,
     picture: Frame,
     is_keyframe: bool,
+}
+
+impl WaitingFrame {
+    /// Time when its depth was taken, as far as is known [s].
+    fn depth_time(&self, path: &Reconstruction) -> f64 {
+        let delay = path.depth_model.as_ref().map_or(0.0, |model| model.delay);
+        let measured = self.picture.depth.as_ref();
+        measured.map_or(f64::NEG_INFINITY, |measured| measured.timestamp + delay)
+    }
 }
 
 /// World and unit of length of the map in those of the front end.
@@ -158,7 +167,11 @@ impl OnlineMapping {
             self.restart();
             return corrections;
         }
-        while self.waiting.front().is_some_and(|first| first.number < update.frame) {
+        let is_due = |first: &WaitingFrame| {
+            first.number < update.frame
+                && first.depth_time(&found) <= found.timestamps[update.frame]
+        };
+        while self.waiting.front().is_some_and(is_due) {
             let Some(frame) = self.waiting.pop_front() else { break };
             self.send(front_end, &found, frame);
         }
