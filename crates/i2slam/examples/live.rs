@@ -1,8 +1,8 @@
 //! Frames with depth given to a session at the rate of a camera, as a robot would.
 //!
 //! `cargo run --release -p i2slam --example live -- SEQUENCE [FRAMES_PER_SECOND] [MAX_SIDE]` prints the
-//! time from a frame to its pose, and how many frames and corrections waited for the map, each as median and
-//! largest.
+//! time from a frame to its pose, and how many frames and corrections waited for the map, each as
+//! median and largest.
 
 use i2slam::{Config, OnlineSession, RunOptions};
 use std::error::Error;

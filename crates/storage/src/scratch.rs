@@ -50,7 +50,7 @@ struct Resident {
 #[derive(Debug)]
 struct ScratchFile {
     file: File,
-    /// Where the system allows no file without a name.
+    /// Set where an open file cannot be unlinked: it is removed in the end.
     path: Option<PathBuf>,
     end: u64,
     /// By length [bytes].

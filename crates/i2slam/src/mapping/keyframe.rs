@@ -6,6 +6,7 @@ use crate::reconstruction::FrameEstimate;
 use i2slam_formation::ShutterPoses;
 use i2slam_geometry::{Camera, Pose, Tangent};
 use i2slam_storage::Stored;
+use std::sync::Arc;
 
 /// A frame that stays in memory for mapping.
 #[derive(Clone, Debug)]
@@ -14,6 +15,11 @@ pub(crate) struct Keyframe {
     pub(crate) frame: usize,
     pub(crate) observation: Stored<Observation>,
     pub(crate) adjacent: AdjacentFrames,
+}
+
+/// The pictures of keyframes, read where they are not in memory.
+pub(super) fn observations(views: &[Keyframe]) -> Vec<Arc<Observation>> {
+    views.iter().map(|view| view.observation.get()).collect()
 }
 
 /// Video frames before and after a keyframe where known: time stamp [s], and pose relative to the

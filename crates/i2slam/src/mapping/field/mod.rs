@@ -18,7 +18,7 @@ use super::context::IterationBudget;
 use super::context::{MappingContext, OnStep};
 use super::depth_inpainting::placement_depth;
 use super::frame_optimizer::{FrameOptimizers, ResponseGradients};
-use super::keyframe::Keyframe;
+use super::keyframe::{Keyframe, observations};
 use super::mapper::{ComparedMap, FinalRefinement, Growth, Mapper};
 use super::window::{random_pixels, recent_window};
 use crate::objective::{
@@ -189,8 +189,7 @@ impl FieldMapper {
         let config = context.config;
         let curves = context.response_curves(views);
         let rays = config.hashgrid.rays / views.len().max(1);
-        let observations: Vec<Arc<Observation>> =
-            views.iter().map(|view| view.observation.get()).collect();
+        let observations = observations(views);
         let drawn: Vec<PixelBatch<'_>> = views
             .iter()
             .zip(&observations)

@@ -75,8 +75,9 @@ impl GaussianMapper {
         let estimate = &context.frames[keyframe.frame];
         let exposure = (estimate.shutter, estimate.readout);
         let formation = &context.config.formation;
-        let sampling = sampling(formation, context.camera, exposure, &keyframe.observation.get());
-        self.optimizer.step(context, &mut self.current, keyframe, sampling);
+        let observation = keyframe.observation.get();
+        let sampling = sampling(formation, context.camera, exposure, &observation);
+        self.optimizer.step(context, &mut self.current, (keyframe, &observation), sampling);
     }
 
     fn prune(&mut self) {

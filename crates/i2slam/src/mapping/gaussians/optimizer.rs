@@ -5,7 +5,7 @@ use crate::mapping::context::MappingContext;
 use crate::mapping::frame_optimizer::{FrameOptimizers, adam};
 use crate::mapping::keyframe::Keyframe;
 use crate::mapping::mapper::ComparedMap;
-use crate::objective::{Exposure, FrameVariables, Sampling};
+use crate::objective::{Exposure, FrameVariables, Observation, Sampling};
 use i2slam_compute::Adam;
 use i2slam_formation::Formation;
 use i2slam_radiance::gaussian::{GaussianMap, MapGradient, Shape};
@@ -77,7 +77,7 @@ impl GaussianOptimizer {
         &mut self,
         context: &mut MappingContext<'_>,
         target: &mut ComparedMap<GaussianMap>,
-        keyframe: &Keyframe,
+        (keyframe, observation): (&Keyframe, &Observation),
         sampling: Sampling,
     ) {
         let ComparedMap { map, objective } = target;
@@ -96,7 +96,7 @@ impl GaussianOptimizer {
         self.gradient.reset(map.len());
         let mut evaluation = objective.map(
             map,
-            &keyframe.observation.get(),
+            observation,
             &variables,
             SSIM_SHARE,
             (IMAGE_WEIGHT, config.mapping.depth_weight),

@@ -17,7 +17,7 @@ use crate::mapping::field::{
     DEPTH_WEIGHT, FieldShape, LEARNING_RATE, MIN_CUBE_GROWTH, untrained_field,
 };
 use crate::mapping::frame_optimizer::{FrameOptimizers, ResponseGradients};
-use crate::mapping::keyframe::Keyframe;
+use crate::mapping::keyframe::{Keyframe, observations};
 use crate::mapping::mapper::{ComparedMap, FinalRefinement, Growth, Mapper};
 use crate::mapping::window::{random_window, recent_window};
 use crate::objective::{Evaluation, FrameObjective, Observation, PixelBatch, RayObjective};
@@ -239,8 +239,7 @@ impl JointFieldMapper {
             field.shells.as_ref().map_or(0, |_| config.parameters.keyframed.surface_samples);
         let limits = (config.hashgrid.rays, samples);
         let pixels = pixel_budget(limits, field.batch.samples_per_pixel()) / views.len().max(1);
-        let observations: Vec<Arc<Observation>> =
-            views.iter().map(|view| view.observation.get()).collect();
+        let observations = observations(views);
         let drawn: Vec<PixelBatch<'_>> = views
             .iter()
             .zip(&observations)
