@@ -118,10 +118,12 @@ impl Progress {
             }
         }
         phase.done = done;
-        if total == 0 {
-            return;
-        }
         match &self.display {
+            Display::Bar(bar) if total == 0 && done > 0 => bar.set_message(done.to_string()),
+            Display::Lines(lines) if total == 0 && done > 0 && lines.is_due() => {
+                print_status(&format!("{name} {done}"));
+            }
+            _ if total == 0 => {}
             Display::Bar(bar) => bar.set_position(done as u64),
             Display::Lines(lines) if lines.is_due() => {
                 print_status(&format!("{name} {done}/{total}{}", phase.rest(done)));
@@ -247,7 +249,7 @@ fn bar(total: usize) -> ProgressBar {
 /// Shows the bar of a phase, or a spinner if its number of steps is unknown.
 fn show(bar: &ProgressBar, phase: &Phase) {
     let template = match phase.total {
-        0 => "{prefix} {spinner}  {elapsed}",
+        0 => "{prefix} {spinner} {msg}  {elapsed}",
         _ => "{prefix} {bar:24.cyan/dim} {pos}/{len}  {msg}  {eta} left",
     };
     bar.set_prefix(phase.name);

@@ -34,9 +34,12 @@ pub use camera::EstimatedCamera;
 pub use error::DatasetError;
 pub use formats::{
     ByteRanges, DepthEntry, DroppedFrames, FrameEntry, Layout, camera_json, paper_frames,
-    read_trajectory, write_trajectory,
+    read_trajectory, trajectory_line, write_trajectory,
 };
 pub use image::{MAX_PIXELS, read_image_size};
 pub use options::{DepthPairing, OpenOptions};
-pub use sequence::{DepthPicture, Frame, FrameStream, Sequence, is_without_depth};
-pub use video::{MAX_RECORDING_BYTES, Recording, is_stream, is_video};
+pub use sequence::{
+    DepthPicture, Frame, FrameStream, LiveFrameStream, LiveSequence, RecordedSequence, Sequence,
+    is_without_depth,
+};
+pub use video::{MAX_RECORDING_BYTES, is_stream, is_video};

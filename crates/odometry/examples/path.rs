@@ -4,12 +4,13 @@
 //! [--scale FACTOR] [--stride N] [--fov DEGREES] [--guess FACTOR] [--open]
 //! [--online FILE] [--scratch MB]` writes `world_from_camera` poses in the TUM format, and prints
 //! their error where the sequence has a true path, also over the deviations that they claim, that of
-//! the poses as they were known when the frames came, and the time a frame takes. Depth is used with
+//! the poses as they were known when the frames came, and the time of frames and stages. Depth is used with
 //! `--depth`; with `--open` no loop is closed; with `--scratch` pictures take up to so
 //! much memory, and others leave it for a file.
 //! The focal length is taken from the sequence or `--fov`; it is estimated where neither gives it,
 //! or from FACTOR times that of the sequence with `--guess`.
 
+use i2slam_compute::CancellationToken;
 use i2slam_dataset::{OpenOptions, Sequence, write_trajectory};
 use i2slam_eval::trajectory::{
     Alignment, ClaimedPose, DEFAULT_TOLERANCE, DeviationRatios, TrajectoryError,
@@ -18,10 +19,13 @@ use i2slam_eval::trajectory::{
 use i2slam_geometry::{Camera, StampedPose};
 use i2slam_odometry::{
     DepthPicture, FrontEnd, Intrinsics, MIN_NEIGHBOURS, NEIGHBOUR_WINDOW, Progress, Reconstruction,
+    Stage,
 };
 use i2slam_storage::ScratchStore;
+use std::collections::BTreeMap;
 use std::error::Error;
 use std::path::Path;
+use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -69,7 +73,14 @@ fn main() -> Result<(), Box<dyn Error>> {
         seconds.push(pushed.elapsed().as_secs_f64());
     }
     let tracked = started.elapsed().as_secs_f64();
-    let found = front_end.finish(Progress::default())?;
+    let stages = Arc::new(Mutex::new(StageTimes::default()));
+    let listened = Arc::clone(&stages);
+    let progress = Progress::new(CancellationToken::default(), move |stage, _, _| {
+        if let Ok(mut stages) = listened.lock() {
+            stages.enter(stage);
+        }
+    });
+    let found = front_end.finish(progress)?;
     found.warnings.iter().for_each(|warning| println!("warning: {warning}"));
     println!(
         "{} of {} frames posed, {} keyframes; focal length {:.1} px, deviation {:?}; readout {:.1} ms",
@@ -82,6 +93,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     );
     println!("depth sensor: {:?}", found.depth_model);
     println!("{tracked:.1} s for tracking, {:.1} s in all", started.elapsed().as_secs_f64());
+    if let Ok(mut stages) = stages.lock() {
+        println!("seconds from one report of progress to the next: {}", stages.end());
+    }
     let hundreds = seconds.chunks_exact(100).map(|hundred| 10.0 * hundred.iter().sum::<f64>());
     let hundreds: Vec<String> = hundreds.map(|milliseconds| format!("{milliseconds:.1}")).collect();
     println!("milliseconds a frame in every hundred: {}", hundreds.join(" "));
@@ -109,6 +123,32 @@ fn main() -> Result<(), Box<dyn Error>> {
         println!("{name}: {rmse:.3} cm, largest {max:.2}, {pairs} frames, scale {scale:.4}");
     }
     print_deviations(&found, &truth, unit)
+}
+
+/// Seconds from each report of a stage to the next report.
+#[derive(Default)]
+struct StageTimes {
+    present: Option<(Stage, Instant)>,
+    seconds: BTreeMap<String, f64>,
+}
+
+impl StageTimes {
+    fn enter(&mut self, stage: Stage) {
+        self.leave();
+        self.present = Some((stage, Instant::now()));
+    }
+
+    fn leave(&mut self) {
+        if let Some((stage, since)) = self.present.take() {
+            *self.seconds.entry(format!("{stage:?}")).or_default() += since.elapsed().as_secs_f64();
+        }
+    }
+
+    fn end(&mut self) -> String {
+        self.leave();
+        let of = |(stage, seconds): (&String, &f64)| format!("{stage} {seconds:.1}");
+        self.seconds.iter().map(of).collect::<Vec<_>>().join(", ")
+    }
 }
 
 /// Errors over claimed deviations.

@@ -75,7 +75,8 @@ impl FrontEnd {
     /// A front end for pictures of one camera.
     pub fn new(intrinsics: Intrinsics) -> Self {
         let (tracker, picture_checks) = (Tracker::default(), PictureChecks::default());
-        let map = OnlineMap::new(SfmState::new(*intrinsics.camera(), Tracks::default()));
+        let state = SfmState::new(*intrinsics.camera(), Tracks::default());
+        let map = OnlineMap::new(state, !matches!(intrinsics, Intrinsics::Known(_)));
         let (close_loops, scratch) = (true, ScratchStore::in_memory());
         Self { intrinsics, tracker, picture_checks, map, close_loops, scratch }
     }
@@ -94,8 +95,9 @@ impl FrontEnd {
 
     /// Tracks points into the next picture, and registers it to the map so far: planes R, G, B in
     /// [0, 1], or one plane of brightness; timestamp [s]; measured depth of the same size, if there is
-    /// one. With a known camera its pose is known from the moment on when the map has started: at once
-    /// with depth, and after some motion by colour alone.
+    /// one. Its pose is known from the moment on when the map has started: at once with depth, and
+    /// after some motion by colour alone, where a guessed camera counts until [`finish`](Self::finish)
+    /// has found it. With depth and a guessed camera no pose is known before.
     ///
     /// Depth taken more than a tenth of a second and more than a frame interval from its picture is
     /// left out, and told ([`DepthNotInTime`](crate::Warning::DepthNotInTime)).
@@ -143,10 +145,13 @@ impl FrontEnd {
         self.map.state.add_input(picture, timestamp, depth, &self.scratch);
         let (frame, is_repeat) = (self.tracker.tracks.frames - 1, &self.picture_checks.is_repeat);
         let status = match self.intrinsics {
-            Intrinsics::Known(_) => self.map.add_frame(&mut self.tracker, is_repeat),
-            Intrinsics::Guess(_) | Intrinsics::GuessWithDistortion(_) => {
+            // Depth at a wrong focal length fits no landmark.
+            Intrinsics::Guess(_) | Intrinsics::GuessWithDistortion(_)
+                if self.map.state.has_depth() =>
+            {
                 TrackingStatus::Initializing
             }
+            _ => self.map.add_frame(&mut self.tracker, is_repeat),
         };
         let pose = self.map.poses.last().copied().flatten();
         let is_keyframe = self.tracker.tracks.keyframes.last() == Some(&frame);

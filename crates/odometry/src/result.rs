@@ -61,7 +61,7 @@ pub struct Reconstruction {
     /// `world_from_camera` at mid-exposure of every accepted picture; `None` where it is lost.
     pub poses: Vec<Option<Pose<f64>>>,
     /// `world_from_camera` of every accepted picture as it was known when the picture came; `None`
-    /// before the start and where it was lost. Empty where the camera had to be estimated.
+    /// before the start and where it was lost. Empty with depth where the camera had to be estimated.
     pub online_poses: Vec<Option<Pose<f64>>>,
     /// Deviation of every pose against those of the frames around it; `None` where it is lost, or
     /// not determined.

@@ -9,8 +9,9 @@ use crate::failure::Failure;
 use crate::ground_truth::GroundTruth;
 use crate::progress::Progress;
 use crate::{interrupt, messages};
-use i2slam::dataset::{Recording, Sequence, is_stream, is_video};
-use i2slam::{PoseSource, RunError, RunOptions, Warning, reconstruct};
+use i2slam::dataset::{RecordedSequence, Sequence, is_stream, is_video};
+use i2slam::run::{TrackedStream, reconstruct_stream};
+use i2slam::{CancellationToken, PoseSource, RunError, RunOptions, Warning, reconstruct};
 use i2slam_result::NAMES;
 use i2slam_storage::{Claim, OutputFolder};
 pub(crate) use pictures::RenderSelection;
@@ -65,34 +66,38 @@ impl Job<'_> {
 /// Reconstructs, writes everything, and prints a summary that ends with the path of the report.
 pub(crate) fn run(job: &Job<'_>) -> Result<(), Failure> {
     interrupt::listen();
-    let stream = record_stream(job)?;
-    let recording = stream.as_ref().map(Recording::path);
-    let dataset = recording.as_ref().unwrap_or(&job.dataset);
+    if is_stream(&job.dataset) {
+        return run_stream(job);
+    }
+    let dataset = &job.dataset;
     if is_video(dataset) && !job.quiet {
-        print_status(&format!("looking through {}", job.dataset.display()));
+        print_status(&format!("looking through {}", dataset.display()));
     }
     let sequence = job.options.open_sequence(dataset)?;
     job.options.validate(&sequence).map_err(|error| placed(error, job))?;
     job.refuse_dataset()?;
-    let folder = OutputFolder::replace(&job.out, job.claim())?;
-    messages::note_saved_parts(folder.saved_parts());
-    let warnings = stream.iter().flat_map(|stream| stream.warnings.clone()).collect();
-    reconstruct_into(folder, job, (dataset, &sequence), warnings)
+    reconstruct_into(output_folder(job)?, job, (dataset, &sequence), None)
 }
 
-/// Reconstructs an opened sequence and writes the result; `warnings` are those about the stream.
+fn output_folder(job: &Job<'_>) -> Result<OutputFolder, Failure> {
+    let folder = OutputFolder::replace(&job.out, job.claim())?;
+    messages::note_saved_parts(folder.saved_parts());
+    Ok(folder)
+}
+
+/// Reconstructs an opened sequence, or a stream whose frames were `tracked`, and writes the result.
 fn reconstruct_into(
     folder: OutputFolder,
     job: &Job<'_>,
     (dataset, sequence): (&Path, &Sequence),
-    mut warnings: Vec<String>,
+    tracked: Option<TrackedStream>,
 ) -> Result<(), Failure> {
     let truth = GroundTruth::open(dataset, sequence);
     let mut progress = Progress::new(sequence.len(), job.quiet);
     if job.title.is_some() {
         progress = progress.without_advice();
     }
-    warnings.extend(sequence.warnings.iter().chain(&truth.warnings).cloned());
+    let warnings: Vec<String> = sequence.warnings.iter().chain(&truth.warnings).cloned().collect();
     warnings.iter().for_each(|warning| progress.warn(warning));
     if let PoseSource::FrontEnd { with_depth: false, .. } = job.options.poses {
         messages::input_lines(sequence).iter().for_each(|line| progress.note(line));
@@ -106,7 +111,10 @@ fn reconstruct_into(
     };
     let scratch_folder = folder.scratch_folder().to_owned();
     let options = RunOptions { scratch_folder, ..job.options.clone() };
-    let outcome = reconstruct(sequence, &options, progress.clone());
+    let outcome = match tracked {
+        Some(tracked) => reconstruct_stream(sequence, tracked, &options, progress.clone()),
+        None => reconstruct(sequence, &options, progress.clone()),
+    };
     let written = outcome.map_err(failure).and_then(|outcome| {
         let undistorted = outcome.undistorted.clone();
         // True pictures have the same lens distortion.
@@ -136,11 +144,8 @@ fn placed(error: RunError, job: &Job<'_>) -> RunError {
     }
 }
 
-/// Records a stream into a file before anything else, as a stream cannot be read twice.
-fn record_stream(job: &Job<'_>) -> Result<Option<Recording>, Failure> {
-    if !is_stream(&job.dataset) {
-        return Ok(None);
-    }
+/// Tracks the frames of a stream while they come, and reconstructs it when it has ended.
+fn run_stream(job: &Job<'_>) -> Result<(), Failure> {
     if let PoseSource::Files { .. } = job.options.poses {
         return Err(Failure::Usage(format!(
             "{} is a stream: --keyframes goes with a file or a folder",
@@ -154,8 +159,19 @@ fn record_stream(job: &Job<'_>) -> Result<Option<Recording>, Failure> {
             "reading the stream {name} (Ctrl-C ends it, and goes on with what came)"
         ));
     }
-    let read = || Recording::record(&job.dataset, &interrupt::requested);
-    Ok(Some(interrupt::reading(read)?))
+    let (tracked, recorded) = interrupt::reading(|| track_stream(job))?;
+    let (path, sequence) = (recorded.path(), &recorded.sequence);
+    reconstruct_into(output_folder(job)?, job, (&path, sequence), Some(tracked))
+}
+
+fn track_stream(job: &Job<'_>) -> Result<(TrackedStream, RecordedSequence), Failure> {
+    let end = CancellationToken::when(interrupt::requested);
+    let live = job.options.open_stream(&job.dataset, end)?;
+    job.options.validate(live.first()).map_err(|error| placed(error, job))?;
+    let progress = Progress::new(0, job.quiet);
+    let tracked = TrackedStream::track(&live, &job.options, &progress);
+    progress.clear();
+    Ok((tracked?, live.finish()?))
 }
 
 /// Prints all problems.

@@ -14,7 +14,7 @@ pub(crate) const FOCAL: f64 = 130.0;
 
 /// Writes `FILE.words` to standard error, or `FILE.rgb` to standard output where raw video is asked
 /// for, FILE being what stands behind `-i`. A stream holds the name of such a file, and is handed
-/// on as it is; `http://host/NAME` is the file NAME beside the script, and does not end where there
+/// on as it is, and decoded from standard input at its end; `http://host/NAME` is the file NAME beside the script, and does not end where there
 /// is a `NAME.endless`.
 const SCRIPT: &str = r#"#!/bin/sh
 raw= nut=
@@ -26,6 +26,11 @@ while [ $# -gt 0 ]; do
   esac
   shift
 done
+if [ "$nut" ] && [ "$raw" ]; then
+  file=$(cat)
+  cat "$file.words" >&2
+  exec cat "$file.rgb"
+fi
 if [ "$nut" ]; then
   case "$file" in
     -) exec cat;;

@@ -88,24 +88,21 @@ impl FrameLoader {
                 self.orientation.apply(stored)
             }
         };
-        let colour = self.resampler.colour(&colour);
-        let mut warnings = Vec::new();
-        let depth = match entry.depth.as_ref().filter(|_| !self.colour_only) {
-            Some(depth) => {
-                let image = self.load_depth(&depth.path, entry)?;
-                warnings.extend(depth_warning(&image));
-                Some(DepthPicture { image: Arc::new(image), timestamp: depth.timestamp })
-            }
-            None => None,
-        };
-        warnings.extend(colour_warning(&colour));
-        Ok(Frame {
-            index: entry.index,
-            timestamp: entry.timestamp,
-            colour: Arc::new(colour),
-            depth,
-            warnings,
-        })
+        let mut frame = self.deliver(&colour, (entry.index, entry.timestamp));
+        if let Some(depth) = entry.depth.as_ref().filter(|_| !self.colour_only) {
+            let image = self.load_depth(&depth.path, entry)?;
+            frame.warnings.splice(0..0, depth_warning(&image));
+            let (image, timestamp) = (Arc::new(image), depth.timestamp);
+            frame.depth = Some(DepthPicture { image, timestamp });
+        }
+        Ok(frame)
+    }
+
+    /// A frame without depth, resampled from a decoded image.
+    pub(super) fn deliver(&self, decoded: &Image<f32>, (index, timestamp): (usize, f64)) -> Frame {
+        let colour = self.resampler.colour(decoded);
+        let warnings = colour_warning(&colour).into_iter().collect();
+        Frame { warnings, ..Frame::colour_only(index, timestamp, colour) }
     }
 
     /// Size of the depth images.

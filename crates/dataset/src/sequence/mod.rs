@@ -5,8 +5,10 @@ mod delivery;
 mod exif_consistency;
 mod find_calibration;
 mod frames;
+mod live;
 
 pub use frames::{DepthPicture, Frame, FrameStream};
+pub use live::{LiveFrameStream, LiveSequence, RecordedSequence};
 
 pub(crate) use delivery::delivered_size;
 

@@ -75,23 +75,27 @@ impl Ffmpeg {
     }
 
     /// Starts decoding to standard output: images of `width` times `height` pixels, R G B bytes.
-    pub(super) fn decode(
-        &self,
-        path: &Path,
-        (width, height): (usize, usize),
-    ) -> Result<Child, DatasetError> {
-        let filter = format!(
-            "scale={width}:{height}:flags=area+accurate_rnd+full_chroma_int,setsar=1,format=rgb24"
-        );
-        let mut command = self.command("level+error", path, &filter);
+    pub(super) fn decode(&self, path: &Path, size: (usize, usize)) -> Result<Child, DatasetError> {
+        let mut command = self.command("level+error", path, &rgb_filter(size));
         command.args(["-f", "rawvideo", "-"]).stdout(Stdio::piped());
         self.start(&mut command)
+    }
+
+    /// Starts decoding a recording from standard input to images as [`decode`](Self::decode) does, with
+    /// their time stamps in the log, each as soon as it can be.
+    pub(super) fn follow(&self, size: (usize, usize)) -> Result<Child, DatasetError> {
+        let at_once = ["-fpsprobesize", "0", "-threads", "1", "-f", "nut"];
+        let allowed = Allowed::stream(Path::new("-"));
+        let mut command = self.input_command("level+info", ("-".as_ref(), &at_once), &allowed);
+        command.args(["-vf", &format!("showinfo,{}", rgb_filter(size))]);
+        command.args(["-flush_packets", "1", "-f", "rawvideo", "-"]);
+        self.start(command.stdin(Stdio::piped()).stdout(Stdio::piped()))
     }
 
     /// Starts transcoding a stream to standard output: lossless FFV1, every frame once.
     pub(super) fn record(&self, stream: &Path) -> Result<Child, DatasetError> {
         let allowed = Allowed::stream(stream);
-        let mut command = self.input_command("level+warning", stream.as_os_str(), &allowed);
+        let mut command = self.input_command("level+warning", (stream.as_os_str(), &[]), &allowed);
         command.args(["-c:v", "ffv1", "-flush_packets", "1", "-f", "nut", "-"]);
         if stream.as_os_str() == "-" {
             command.stdin(Stdio::inherit());
@@ -102,17 +106,23 @@ impl Ffmpeg {
     fn command(&self, level: &str, path: &Path, filter: &str) -> Command {
         // An absolute path is never taken for a protocol or an option.
         let whole = std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf());
-        let mut command = self.input_command(level, whole.as_os_str(), &Allowed::file());
+        let mut command = self.input_command(level, (whole.as_os_str(), &[]), &Allowed::file());
         command.args(["-vf", filter]);
         command
     }
 
-    /// The arguments that read the first video of a source, every frame once.
-    fn input_command(&self, level: &str, source: &OsStr, allowed: &Allowed) -> Command {
+    /// The arguments that read the first video of a source with some options, every frame once.
+    fn input_command(
+        &self,
+        level: &str,
+        (source, options): (&OsStr, &[&str]),
+        allowed: &Allowed,
+    ) -> Command {
         let mut command = Command::new(&self.program);
         command.args(["-hide_banner", "-nostdin", "-nostats", "-v", level]);
         command.args(["-protocol_whitelist", &allowed.protocols]);
-        command.args(["-format_whitelist", &allowed.containers]).arg("-i").arg(source);
+        command.args(["-format_whitelist", &allowed.containers]).args(options);
+        command.arg("-i").arg(source);
         command.args(["-map", "0:V:0"]).args(PASSTHROUGH[self.option_version]);
         command.stdin(Stdio::null()).stderr(Stdio::piped());
         detach_from_terminal(&mut command);
@@ -126,6 +136,11 @@ impl Ffmpeg {
             source,
         })
     }
+}
+
+/// Scales frames to a size [px], R G B bytes.
+fn rgb_filter((width, height): (usize, usize)) -> String {
+    format!("scale={width}:{height}:flags=area+accurate_rnd+full_chroma_int,setsar=1,format=rgb24")
 }
 
 /// Gives ffmpeg a process group of its own: Ctrl-C must not end it, since the run still reads
@@ -148,14 +163,24 @@ const MAX_LINE: u64 = 1 << 16;
 /// Parses a log to its end.
 pub(super) fn parse_log(stream: impl Read) -> FfmpegLog {
     let mut log = FfmpegLog::default();
+    push_lines(stream, &mut log, |_| {});
+    log
+}
+
+/// Parses a log to its end, and calls `on_line` after every line.
+pub(super) fn push_lines(
+    stream: impl Read,
+    log: &mut FfmpegLog,
+    mut on_line: impl FnMut(&FfmpegLog),
+) {
     let mut reader = BufReader::new(stream);
     let mut line = Vec::new();
     let mut next = |line: &mut Vec<u8>| (&mut reader).take(MAX_LINE).read_until(b'\n', line);
     while matches!(next(&mut line), Ok(length) if length > 0) {
         log.push_line(String::from_utf8_lossy(&line).trim());
+        on_line(log);
         line.clear();
     }
-    log
 }
 
 #[cfg(test)]

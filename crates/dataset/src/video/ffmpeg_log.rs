@@ -81,11 +81,15 @@ impl FfmpegLog {
         self.message().contains(what)
     }
 
+    /// The time stamp of a frame as it was logged [s].
+    pub(super) fn own_timestamp(&self, frame: usize) -> Option<f64> {
+        Some(self.frames.get(frame)?.ticks? * self.time_base?)
+    }
+
     /// Time stamps of the frames [s], see [`repaired`].
     pub(super) fn timestamps(&self) -> Option<RepairedTimestamps> {
-        let time_base = self.time_base?;
         let stamps: Vec<Option<f64>> =
-            self.frames.iter().map(|frame| frame.ticks.map(|ticks| ticks * time_base)).collect();
+            (0..self.frames.len()).map(|frame| self.own_timestamp(frame)).collect();
         repaired(&stamps)
     }
 }

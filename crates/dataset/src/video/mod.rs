@@ -7,6 +7,7 @@ mod allowed;
 mod ffmpeg;
 mod ffmpeg_log;
 mod frame_reader;
+mod live_frames;
 mod recording;
 mod timestamps;
 
@@ -21,8 +22,9 @@ use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use timestamps::RepairedTimestamps;
 
-pub(crate) use recording::refused_stream;
-pub use recording::{MAX_RECORDING_BYTES, Recording, is_stream};
+pub(crate) use live_frames::LiveFrames;
+pub use recording::{MAX_RECORDING_BYTES, is_stream};
+pub(crate) use recording::{Recording, refused_stream};
 
 /// File name extensions of videos.
 const EXTENSIONS: [&str; 32] = [
@@ -124,6 +126,11 @@ impl Video {
         let (path, ffmpeg) = (self.path.clone(), self.ffmpeg.clone());
         let (delivered, reader) = ((width, height), Mutex::new(None));
         Self { path, ffmpeg, size: self.size, reader, delivered }
+    }
+
+    /// The frames of this video at the size of delivered images, while it is being recorded.
+    pub(crate) fn follow(&self, recording: &Recording) -> Result<LiveFrames, DatasetError> {
+        LiveFrames::start(&self.ffmpeg, &self.path, recording.is_complete(), self.delivered)
     }
 
     /// Decodes a frame: 3 planes R, G, B in [0, 1].

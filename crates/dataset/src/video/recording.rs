@@ -1,18 +1,19 @@
 //! Streams that can be read only once: network addresses, named pipes and the standard input.
 //!
-//! A run reads its images several times, so a stream is first transcoded without loss (FFV1) into a
-//! temporary video file.
+//! A run reads its images several times, so a stream is transcoded without loss (FFV1) into a
+//! temporary video file, whose frames can be read [while it grows](super::live_frames).
 
 use super::ffmpeg::{Ffmpeg, parse_log};
 use super::ffmpeg_log::FfmpegLog;
 use super::undecodable;
 use crate::DatasetError;
+use i2slam_compute::CancellationToken;
 use std::fs::{self, File};
 use std::io::{self, IsTerminal, Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::Child;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -63,86 +64,139 @@ pub(crate) fn refused_stream(path: &Path) -> Option<DatasetError> {
     })
 }
 
-/// A recorded stream in a temporary file, which is removed on drop.
+/// A stream that is recorded into a temporary file, which is removed on drop.
 #[derive(Debug)]
-pub struct Recording {
+pub(crate) struct Recording {
     folder: PathBuf,
-    /// Warnings for the user, a sentence each.
-    pub warnings: Vec<String>,
+    /// Set by the thread when the file is complete.
+    is_complete: Arc<AtomicBool>,
+    /// Set on drop.
+    is_dropped: Arc<AtomicBool>,
+    /// Gives a warning for the user.
+    thread: Option<JoinHandle<Result<Option<String>, DatasetError>>>,
 }
 
 impl Recording {
-    /// Records a stream until it ends, `should_end` returns true, or [`MAX_RECORDING_BYTES`] are
+    /// Starts to record a stream until it ends, `end` is cancelled, or [`MAX_RECORDING_BYTES`] are
     /// reached.
-    ///
-    /// # Errors
-    ///
-    /// No ffmpeg, a stream that gives no picture, no room on the disk.
-    pub fn record(stream: &Path, should_end: &dyn Fn() -> bool) -> Result<Self, DatasetError> {
+    pub(crate) fn start(stream: &Path, end: CancellationToken) -> Result<Self, DatasetError> {
         if is_standard_input(stream) && io::stdin().is_terminal() {
             let reason = "the standard input is a terminal, expected a video: \
                           `some program | i2slam run - --out DIR`";
             return Err(DatasetError::file(stream, reason));
         }
-        Self::record_with(Ffmpeg::find(), stream, MAX_RECORDING_BYTES, should_end)
+        Self::start_with(Ffmpeg::find(), stream, MAX_RECORDING_BYTES, end)
     }
 
-    pub(super) fn record_with(
-        mut ffmpeg: Ffmpeg,
+    pub(super) fn start_with(
+        ffmpeg: Ffmpeg,
         stream: &Path,
         max_bytes: u64,
-        should_end: &dyn Fn() -> bool,
+        end: CancellationToken,
     ) -> Result<Self, DatasetError> {
-        let mut recording = Self { folder: new_folder()?, warnings: Vec::new() };
-        let mut ended = recording.read(&ffmpeg, stream, max_bytes, should_end)?;
-        if ended.bytes == 0 && ffmpeg.retry_with_older_options(&ended.log) {
-            // The options were refused before the stream was opened, so nothing is lost.
-            ended = recording.read(&ffmpeg, stream, max_bytes, should_end)?;
-        }
-        if ended.bytes == 0 {
-            return Err(undecodable(stream, &ended.log));
-        }
-        recording.warnings.extend(ended.warning(max_bytes));
+        let folder = new_folder()?;
+        let (is_complete, is_dropped) =
+            (Arc::<AtomicBool>::default(), Arc::<AtomicBool>::default());
+        let mut recording = Self { folder, is_complete, is_dropped, thread: None };
+        let (path, stream) = (recording.path(), stream.to_path_buf());
+        let is_complete = CompleteOnDrop(Arc::clone(&recording.is_complete));
+        let is_dropped = Arc::clone(&recording.is_dropped);
+        let ends = move || end.is_cancelled() || is_dropped.load(Ordering::Relaxed);
+        recording.thread = Some(std::thread::spawn(move || {
+            let recorded = record(ffmpeg, &stream, (&path, max_bytes), &ends);
+            drop(is_complete);
+            recorded
+        }));
         Ok(recording)
     }
 
-    /// Path of the recorded video.
-    pub fn path(&self) -> PathBuf {
+    /// Path of the recorded video, which grows.
+    pub(crate) fn path(&self) -> PathBuf {
         self.folder.join("stream.nut")
     }
 
-    fn read(
-        &self,
-        ffmpeg: &Ffmpeg,
-        stream: &Path,
-        max_bytes: u64,
-        should_end: &dyn Fn() -> bool,
-    ) -> Result<RecordingEnd, DatasetError> {
-        let path = self.path();
-        let file = File::create(&path).map_err(|e| DatasetError::write(&path, e))?;
-        let mut running = RecordingProcess::start(ffmpeg, stream, file)?;
-        let mut interrupted_at = None;
-        while !running.copying.is_finished() {
-            let is_full = running.copied.load(Ordering::Relaxed) >= max_bytes;
-            match interrupted_at {
-                None if is_full || should_end() => {
-                    running.interrupt();
-                    interrupted_at = Some(Instant::now());
-                }
-                Some(when) if when.elapsed() > GRACE_PERIOD => running.kill(),
-                _ => {}
-            }
-            std::thread::sleep(POLL_INTERVAL);
-        }
-        running.end(interrupted_at.is_none()).map_err(|e| DatasetError::write(&path, e))
+    /// A flag that is set when the video is complete.
+    pub(super) fn is_complete(&self) -> Arc<AtomicBool> {
+        Arc::clone(&self.is_complete)
+    }
+
+    /// Size of the video so far [bytes]; `None` once it is complete.
+    pub(crate) fn growing_bytes(&self) -> Option<u64> {
+        let bytes = fs::metadata(self.path()).map_or(0, |file| file.len());
+        (!self.is_complete.load(Ordering::Acquire)).then_some(bytes)
+    }
+
+    /// Waits until the video is complete; returns a warning for the user, once.
+    ///
+    /// # Errors
+    ///
+    /// No ffmpeg, a stream that gives no picture, no room on the disk.
+    pub(crate) fn wait(&mut self) -> Result<Option<String>, DatasetError> {
+        let Some(thread) = self.thread.take() else { return Ok(None) };
+        thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
     }
 }
 
 impl Drop for Recording {
     fn drop(&mut self) {
+        self.is_dropped.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
         // Failure leaves a file in the temporary folder, which the system cleans.
         let _ = fs::remove_dir_all(&self.folder);
     }
+}
+
+/// Sets a flag when the thread that holds it ends, in whatever way.
+struct CompleteOnDrop(Arc<AtomicBool>);
+
+impl Drop for CompleteOnDrop {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Release);
+    }
+}
+
+/// Records a stream into a file of a largest size; returns a warning for the user.
+fn record(
+    mut ffmpeg: Ffmpeg,
+    stream: &Path,
+    file: (&Path, u64),
+    ends: &dyn Fn() -> bool,
+) -> Result<Option<String>, DatasetError> {
+    let mut ended = record_once(&ffmpeg, stream, file, ends)?;
+    if ended.bytes == 0 && ffmpeg.retry_with_older_options(&ended.log) {
+        // The options were refused before the stream was opened, so nothing is lost.
+        ended = record_once(&ffmpeg, stream, file, ends)?;
+    }
+    if ended.bytes == 0 {
+        return Err(undecodable(stream, &ended.log));
+    }
+    Ok(ended.warning(file.1))
+}
+
+fn record_once(
+    ffmpeg: &Ffmpeg,
+    stream: &Path,
+    (path, max_bytes): (&Path, u64),
+    ends: &dyn Fn() -> bool,
+) -> Result<RecordingEnd, DatasetError> {
+    let file = File::create(path).map_err(|e| DatasetError::write(path, e))?;
+    let mut running = RecordingProcess::start(ffmpeg, stream, file)?;
+    let mut interrupted_at = None;
+    while !running.copying.is_finished() {
+        let is_full = running.copied.load(Ordering::Relaxed) >= max_bytes;
+        match interrupted_at {
+            None if is_full || ends() => {
+                running.interrupt();
+                interrupted_at = Some(Instant::now());
+            }
+            Some(when) if when.elapsed() > GRACE_PERIOD => running.kill(),
+            _ => {}
+        }
+        std::thread::sleep(POLL_INTERVAL);
+    }
+    running.end(interrupted_at.is_none()).map_err(|e| DatasetError::write(path, e))
 }
 
 /// Creates an empty temporary folder.

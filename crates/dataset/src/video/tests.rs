@@ -1,8 +1,11 @@
 //! Calls of ffmpeg and handling of its output, with a script in its place.
 
 use super::*;
+use i2slam_compute::CancellationToken;
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Outputs frames of 2x2 px whose bytes are their number; refuses `fps_mode`, as old versions do.
 const SCRIPT: &str = r#"#!/bin/sh
@@ -11,7 +14,8 @@ echo "$@" >> "$here/asked"
 case "$*" in *fps_mode*) echo "Unrecognized option 'fps_mode'." >&2; exit 1;; esac
 case "$*" in
   *ffv1*) echo "[rtsp @ 0x1] [error] it hung up" >&2; cat "$here/frames"; [ -e "$here/endless" ] && exec sleep 60;;
-  *rawvideo*) cat "$here/frames"; echo "[h264 @ 0x1] [error] it broke" >&2;;
+  *rawvideo*) if [ -e "$here/follows" ]; then cat "$here/words" >&2; exec cat; fi
+    cat "$here/frames"; echo "[h264 @ 0x1] [error] it broke" >&2;;
   *) cat "$here/words" >&2;;
 esac
 "#;
@@ -145,7 +149,7 @@ fn every_call_names_the_protocols_and_containers_it_may_open() {
     assert!(containers.iter().all(|names| names.contains("matroska") && !names.contains("hls")));
     drop(folder);
     let folder = Folder::new("allowed-stream", 3, 3);
-    folder.record(1 << 20, &|| false).expect("a stream");
+    folder.record(1 << 20, CancellationToken::default()).expect("a stream");
     let protocols = asked_after(&folder, "-protocol_whitelist");
     assert!(protocols.iter().all(|p| p == "rtsp,rtp,srtp,udp,tcp"), "{protocols:?}");
 }
@@ -201,22 +205,31 @@ fn ffmpeg_follows_no_list_and_reads_what_cameras_write() {
 }
 
 impl Folder {
-    fn record(&self, most: u64, should_end: &dyn Fn() -> bool) -> Result<Recording, DatasetError> {
+    /// The whole recording of a stream, with its warning.
+    fn record(
+        &self,
+        most: u64,
+        end: CancellationToken,
+    ) -> Result<(Recording, Option<String>), DatasetError> {
         let ffmpeg = Ffmpeg::at(self.0.join("ffmpeg"));
-        Recording::record_with(ffmpeg, Path::new("rtsp://a/b"), most, should_end)
+        let mut recording = Recording::start_with(ffmpeg, Path::new("rtsp://a/b"), most, end)?;
+        let warning = recording.wait()?;
+        assert_eq!(recording.growing_bytes(), None);
+        Ok((recording, warning))
     }
 }
 
 #[test]
 fn a_stream_is_decoded_once_into_a_temporary_file() {
     let folder = Folder::new("stream", 3, 4);
-    let recording = folder.record(1 << 20, &|| false).expect("a stream");
+    let (recording, warning) =
+        folder.record(1 << 20, CancellationToken::default()).expect("a stream");
     let path = recording.path();
     assert_eq!(
         fs::read(&path).expect("a file"),
         fs::read(folder.0.join("frames")).expect("frames")
     );
-    assert!(recording.warnings[0].contains("it hung up"), "{:?}", recording.warnings);
+    assert!(warning.as_ref().is_some_and(|w| w.contains("it hung up")), "{warning:?}");
     let asked = fs::read_to_string(folder.0.join("asked")).expect("questions");
     // The script refuses the options of new versions before it reads.
     assert_eq!(asked.lines().filter(|l| l.contains("-vsync 0 -c:v ffv1")).count(), 1, "{asked}");
@@ -233,20 +246,84 @@ fn a_live_stream_ends_on_request() {
     let folder = Folder::new("live", 1, 4);
     fs::write(folder.0.join("endless"), "").expect("room");
     let begin = std::time::Instant::now();
-    let recording =
-        folder.record(1 << 20, &|| begin.elapsed().as_millis() > 500).expect("what came");
+    let end = CancellationToken::when(move || begin.elapsed().as_millis() > 500);
+    let (recording, warning) = folder.record(1 << 20, end).expect("what came");
     assert_eq!(fs::read(recording.path()).expect("a file").len(), 4 * 12);
-    assert!(recording.warnings.is_empty(), "{:?}", recording.warnings);
+    assert_eq!(warning, None);
 }
 
 #[test]
 fn recordings_are_bounded_and_failures_explained() {
     let folder = Folder::new("bound", 1, 4);
     fs::write(folder.0.join("endless"), "").expect("room");
-    let recording = folder.record(30, &|| false).expect("what fits");
+    let (recording, warning) = folder.record(30, CancellationToken::default()).expect("what fits");
     assert_eq!(fs::read(recording.path()).expect("a file").len(), 4 * 12);
-    assert!(recording.warnings[0].contains("all that is kept"), "{:?}", recording.warnings);
+    assert!(warning.as_ref().is_some_and(|w| w.contains("all that is kept")), "{warning:?}");
     let silent = Folder::new("silent", 1, 0);
-    let refusal = silent.record(1 << 20, &|| false).expect_err("nothing came").to_string();
+    let refusal = silent.record(1 << 20, CancellationToken::default());
+    let refusal = refusal.expect_err("nothing came").to_string();
     assert!(refusal.contains("it hung up") && refusal.contains("rtsp://a/b"), "{refusal}");
+}
+
+/// Frames of a file that another thread still writes: the script decodes what comes.
+#[test]
+fn frames_are_had_while_a_file_grows() {
+    use std::io::Write;
+    let folder = Folder::new("grows", 3, 4);
+    fs::write(folder.0.join("follows"), "").expect("room");
+    let (path, is_complete) = (folder.0.join("a.nut"), Arc::<AtomicBool>::default());
+    let mut file = fs::File::create(&path).expect("room");
+    file.write_all(&[0; 12]).expect("room");
+    let mut ffmpeg = Ffmpeg::at(folder.0.join("ffmpeg"));
+    assert!(ffmpeg.read_log(&path, "showinfo", None).is_ok(), "learns the options");
+    let mut frames =
+        LiveFrames::start(&ffmpeg, &path, Arc::clone(&is_complete), (2, 2)).expect("a decoder");
+    let next = |frames: &mut LiveFrames| {
+        frames.next_frame().map(|(time, image)| (time, (255.0 * image.data[0]).round()))
+    };
+    assert_eq!(next(&mut frames), Some((Some(0.0), 0.0)));
+    file.write_all(&[[1; 12], [2; 12], [3; 12]].concat()).expect("room");
+    assert_eq!(next(&mut frames), Some((Some(0.1), 1.0)));
+    is_complete.store(true, Ordering::Release);
+    assert_eq!(next(&mut frames), Some((Some(0.2), 2.0)));
+    // The log names three frames.
+    assert_eq!(next(&mut frames), Some((None, 3.0)));
+    assert_eq!(next(&mut frames), None);
+}
+
+/// A stream of ffmpeg itself: every frame is had before the stream ends, with the time stamps of the
+/// file that it leaves.
+#[test]
+#[ignore = "needs ffmpeg"]
+fn ffmpeg_decodes_what_it_records() {
+    let folder = Folder::new("real-stream", 0, 0);
+    let pipe = folder.0.join("camera");
+    assert!(std::process::Command::new("mkfifo").arg(&pipe).status().expect("mkfifo").success());
+    let mut camera = std::process::Command::new("ffmpeg");
+    let source =
+        ["-v", "error", "-re", "-f", "lavfi", "-i", "testsrc=size=64x48:rate=5:duration=6"];
+    let mut camera = camera
+        .args(source)
+        .args(["-y", "-c:v", "ffv1", "-f", "nut"])
+        .arg(&pipe)
+        .spawn()
+        .expect("ffmpeg");
+    let options = crate::OpenOptions { guess_camera: true, ..Default::default() };
+    let live = crate::LiveSequence::open(&pipe, &options, CancellationToken::default());
+    let live = live.expect("a stream");
+    let frames = live.frames(live.first()).expect("a decoder");
+    let mut came = Vec::new();
+    for frame in frames {
+        if frame.index == 20 {
+            assert!(camera.try_wait().expect("a camera").is_none(), "before it ends");
+        }
+        came.push(frame);
+    }
+    assert!(camera.wait().expect("a camera").success());
+    let recorded = live.finish().expect("a sequence");
+    assert_eq!(recorded.sequence.len(), 30);
+    for (place, frame) in came.iter().enumerate() {
+        assert_eq!(*frame, recorded.sequence.load(place).expect("a frame"));
+    }
+    assert_eq!(came.len(), 30);
 }

@@ -7,7 +7,7 @@ mod refined_import;
 mod row_rectification;
 
 pub use import::{Import, ImportDepth, ImportFormat, ImportOptions, import};
-pub(crate) use monocular::{BoxedLoader, GivenPictures, in_usual_unit};
+pub(crate) use monocular::{BoxedLoader, GivenPictures, TrackedPictures, in_usual_unit};
 pub use monocular::{
     Intrinsics, MonocularError, MonocularSource, OdometryError, OdometryProgress,
     OdometryReconstruction, OdometryWarning, Stage,

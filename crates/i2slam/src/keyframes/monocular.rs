@@ -1,5 +1,7 @@
 //! Keyframes posed by the monocular front end, from pictures alone.
 
+mod tracked_pictures;
+
 use super::delivery::{
     MEDIAN_DEPTH, depth, into_estimated, keyframe_pictures, measured_depth, posed, posed_view,
 };
@@ -7,11 +9,11 @@ use super::{KeyframeSource, PictureError, PosedKeyframe};
 use i2slam_compute::CancellationToken;
 use i2slam_dataset::Frame;
 use i2slam_geometry::{Camera, Pose, StampedPose};
-use i2slam_odometry::{
-    DenseDepthEstimator, DepthPicture, FrontEnd, KeyframePictures, PoseDeviation, Reconstruction,
-};
+use i2slam_odometry::{DenseDepthEstimator, KeyframePictures, PoseDeviation, Reconstruction};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use thiserror::Error;
+
+pub(crate) use tracked_pictures::{GivenPictures, TrackedPictures};
 
 pub use i2slam_odometry::{
     Intrinsics, OdometryError, Progress as OdometryProgress,
@@ -51,38 +53,6 @@ pub struct MonocularSource<L> {
     between: FramesBetween,
 }
 
-/// Pictures that a front end was given.
-#[derive(Default)]
-pub(crate) struct GivenPictures {
-    /// Position in the sequence of every picture that was accepted.
-    positions: Vec<usize>,
-    /// Others: position, reason.
-    pub(crate) refused: Vec<(usize, PictureError)>,
-}
-
-impl GivenPictures {
-    /// Gives the picture of every position to `push`, which tells whether it became a keyframe, until
-    /// `progress` is cancelled.
-    pub(crate) fn give(
-        count: usize,
-        progress: &OdometryProgress,
-        mut push: impl FnMut(usize) -> Result<bool, PictureError>,
-    ) -> Self {
-        let (mut given, mut keyframes) = (Self::default(), 0);
-        for position in (0..count).take_while(|_| !progress.is_cancelled()) {
-            match push(position) {
-                Ok(is_keyframe) => {
-                    given.positions.push(position);
-                    keyframes += usize::from(is_keyframe);
-                }
-                Err(why) => given.refused.push((position, why)),
-            }
-            progress.report(Stage::Tracking { keyframes }, position + 1, count);
-        }
-        given
-    }
-}
-
 /// Reads the picture at a position in the sequence.
 pub(crate) type BoxedLoader = Box<dyn FnMut(usize) -> Result<Frame, PictureError> + Send>;
 
@@ -107,25 +77,13 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
         mut load: L,
         progress: &OdometryProgress,
     ) -> Result<Self, MonocularError> {
-        let mut front_end = FrontEnd::new(intrinsics);
-        let given = GivenPictures::give(count, progress, |position| {
-            let picture = load(position)?;
-            let depth = depth_picture(&picture);
-            Ok(front_end.push(&picture.colour, picture.timestamp, depth.as_ref())?.is_keyframe)
-        });
-        let found = match progress.is_cancelled() {
-            true => Err(OdometryError::Cancelled),
-            false => front_end.finish(progress.clone()),
-        };
-        match found {
-            Ok(path) => Ok(Self::of_path(in_usual_unit(path), given, load)),
-            Err(failure) => Err(MonocularError::NoPath { failure, refused: given.refused }),
-        }
+        TrackedPictures::track(intrinsics, count, &mut load, progress, |_| {})
+            .finish(load, progress)
     }
 
     /// Keyframes of a path through pictures that were given to the front end.
     pub(crate) fn of_path(reconstruction: Reconstruction, given: GivenPictures, load: L) -> Self {
-        let GivenPictures { positions, refused } = given;
+        let GivenPictures { positions, refused, .. } = given;
         let reader = PictureReader::new(keyframe_positions(&reconstruction, &positions), load);
         let coming = (0..reconstruction.keyframes.len()).collect();
         let (dense, between) = (None, FramesBetween::default());
@@ -324,12 +282,6 @@ pub(crate) fn in_usual_unit(path: Reconstruction) -> Reconstruction {
         Some(_) => path,
         None => path.scaled(MEDIAN_DEPTH),
     }
-}
-
-/// Measured depth of a frame, if there is any.
-fn depth_picture(frame: &Frame) -> Option<DepthPicture<'_>> {
-    let measured = frame.depth.as_ref()?;
-    Some(DepthPicture { depth: &measured.image, timestamp: measured.timestamp })
 }
 
 fn keyframe_positions(found: &Reconstruction, positions: &[usize]) -> Vec<usize> {

@@ -11,13 +11,13 @@ use crate::config::{MapKind, TrackingMethod};
 use crate::keyframes::{
     self, BoxedLoader, ImportDepth, ImportOptions, Intrinsics, KeyframeSource, MonocularError,
     MonocularSource, OdometryError, OdometryProgress, OdometryWarning, PictureError, RefinedImport,
-    import,
+    TrackedPictures, import,
 };
 use crate::session::MappedFrames;
 use crate::warning::Warning;
 use i2slam_dataset::import::ImportedKeyframes;
 use i2slam_dataset::{DepthPicture, Frame, Sequence};
-use i2slam_geometry::Pose;
+use i2slam_geometry::{Pose, StampedPose};
 use i2slam_odometry::PoseDeviation;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -68,17 +68,17 @@ fn keyframes_of(
 }
 
 /// Finds the path of the camera from the pictures, with dense depth of the keyframes, and their
-/// lens distortion if asked.
+/// lens distortion if asked; pictures by colour alone may have been `tracked` already.
 pub(super) fn from_odometry(
     sequence: &Sequence,
-    estimate_distortion: bool,
+    (estimate_distortion, tracked): (bool, Option<TrackedPictures>),
     options: &RunOptions,
     context: &RunContext,
 ) -> Result<Input<'static>, RunError> {
     let size = (sequence.camera.width, sequence.camera.height);
     let FoundPath { source, mapped } = match online::is_possible(sequence, options) {
         true => online::find_path(sequence, options, context)?,
-        false => find_path(sequence, estimate_distortion, options, context)?,
+        false => find_path(sequence, (estimate_distortion, tracked), options, context)?,
     };
     let found = source.with_pictures(size, |place| picture(sequence, place));
     let camera = CameraEstimate::new(sequence, found.reconstruction());
@@ -132,29 +132,43 @@ pub(super) fn from_odometry(
     })
 }
 
-/// Finds the path of the camera in the pictures at [`odometry_size`], as they were recorded.
+/// Finds the path of the camera in the pictures at [`odometry_size`], as they were recorded, unless
+/// they were `tracked` already.
 fn find_path(
     sequence: &Sequence,
-    estimate_distortion: bool,
+    (estimate_distortion, tracked): (bool, Option<TrackedPictures>),
     options: &RunOptions,
     context: &RunContext,
 ) -> Result<FoundPath, RunError> {
     let large = sequence.at_least(ODOMETRY_SIDE);
-    let intrinsics = match (sequence.camera_is_guess, estimate_distortion) {
-        (true, true) => Intrinsics::GuessWithDistortion(large.camera),
-        (true, false) => Intrinsics::Guess(large.camera),
-        (false, _) => Intrinsics::Known(large.camera),
-    };
+    let progress = odometry_progress(context, Some(Forecaster::new(&options.config, sequence)));
     let count = large.len();
-    let odometry_progress =
-        odometry_progress(context, Some(Forecaster::new(&options.config, sequence)));
+    let tracked = if let Some(tracked) = tracked {
+        let keyframes = tracked.given.keyframes;
+        progress.report(keyframes::Stage::Tracking { keyframes }, count, count);
+        tracked
+    } else {
+        let load = |place: usize| picture(&large, place);
+        let on_pose = |pose: &StampedPose| context.observer.pose(pose);
+        let intrinsics = intrinsics(&large, estimate_distortion);
+        TrackedPictures::track(intrinsics, count, load, &progress, on_pose)
+    };
     let load: BoxedLoader = Box::new(move |place| picture(&large, place));
-    match MonocularSource::find(intrinsics, count, load, &odometry_progress) {
+    match tracked.finish(load, &progress) {
         Ok(source) => Ok(FoundPath { source, mapped: None }),
         Err(MonocularError::NoPath { failure: OdometryError::Cancelled, .. }) => {
             Err(RunError::Cancelled { before: "the path of the camera was found" })
         }
         Err(error) => Err(RunError::NoPath(error)),
+    }
+}
+
+/// What is known of the camera of a sequence.
+pub(super) fn intrinsics(sequence: &Sequence, estimate_distortion: bool) -> Intrinsics {
+    match (sequence.camera_is_guess, estimate_distortion) {
+        (true, true) => Intrinsics::GuessWithDistortion(sequence.camera),
+        (true, false) => Intrinsics::Guess(sequence.camera),
+        (false, _) => Intrinsics::Known(sequence.camera),
     }
 }
 

@@ -20,20 +20,23 @@ mod memory;
 mod observer;
 mod online;
 mod shortfall;
+mod stream;
 
 pub use camera::CameraEstimate;
 pub use error::RunError;
 pub use forecast::RuntimeForecast;
 pub use keyframes::odometry_size;
 pub use observer::{Observer, Stage};
+pub use stream::TrackedStream;
 
 use crate::config::{Config, MapKind, TrackingMethod};
 use crate::keyframes::{ImportDepth, ImportOptions};
 use crate::reconstruction::Reconstruction;
 use crate::warning::Warning;
 use driver::Input;
+use i2slam_compute::CancellationToken;
 use i2slam_dataset::import::camera_file;
-use i2slam_dataset::{DatasetError, OpenOptions, Sequence};
+use i2slam_dataset::{DatasetError, LiveSequence, OpenOptions, Sequence};
 use observer::RunContext;
 use std::path::{Path, PathBuf};
 
@@ -167,14 +170,30 @@ impl RunOptions {
     ///
     /// A path that is no sequence, and options that do not fit it.
     pub fn open_sequence(&self, path: &Path) -> Result<Sequence, DatasetError> {
+        Sequence::open(path, &self.open_options())
+    }
+
+    /// Records a stream with [`open`](Self::open) until it ends or `end` is cancelled.
+    ///
+    /// # Errors
+    ///
+    /// As [`LiveSequence::open`].
+    pub fn open_stream(
+        &self,
+        stream: &Path,
+        end: CancellationToken,
+    ) -> Result<LiveSequence, DatasetError> {
+        LiveSequence::open(stream, &self.open_options(), end)
+    }
+
+    fn open_options(&self) -> OpenOptions {
         let input = &self.config.input;
-        let options = OpenOptions {
+        OpenOptions {
             crop_border: input.crop_border,
             minimum_gap: input.minimum_gap,
             depth_pairing: self.config.depth_pairing(),
             ..self.open.clone()
-        };
-        Sequence::open(path, &options)
+        }
     }
 
     /// Checks the options against each other, against a sequence, and against the memory of this
@@ -242,15 +261,48 @@ pub fn reconstruct(
     options: &RunOptions,
     observer: impl Observer + 'static,
 ) -> Result<RunOutcome, RunError> {
+    reconstruct_tracked(sequence, None, options, observer)
+}
+
+/// [`reconstruct`] of a stream that has ended, whose frames were tracked while they came.
+///
+/// # Errors
+///
+/// As [`reconstruct`].
+pub fn reconstruct_stream(
+    sequence: &Sequence,
+    tracked: TrackedStream,
+    options: &RunOptions,
+    observer: impl Observer + 'static,
+) -> Result<RunOutcome, RunError> {
+    reconstruct_tracked(sequence, Some(tracked), options, observer)
+}
+
+fn reconstruct_tracked(
+    sequence: &Sequence,
+    tracked: Option<TrackedStream>,
+    options: &RunOptions,
+    observer: impl Observer + 'static,
+) -> Result<RunOutcome, RunError> {
     options.validate(sequence)?;
     let context = RunContext::new(observer);
+    let was_tracked = tracked.is_some();
+    let tracked = tracked.filter(|tracked| tracked.is_of(sequence)).map(|tracked| tracked.pictures);
+    if was_tracked && tracked.is_none() {
+        context.observer.note("time stamps of the stream had to be repaired: it is tracked again");
+    }
     let open = || match &options.poses {
         PoseSource::Map => Ok(Input::frames(sequence)),
         PoseSource::FrontEnd { with_depth: true, .. } if is_small(sequence) => {
             Ok(Input::frames(sequence))
         }
         PoseSource::FrontEnd { with_depth, estimate_distortion } => {
-            let found = keyframes::from_odometry(sequence, *estimate_distortion, options, &context);
+            let found = keyframes::from_odometry(
+                sequence,
+                (*estimate_distortion, tracked),
+                options,
+                &context,
+            );
             match found {
                 Err(RunError::NoPath(failure)) if *with_depth => {
                     context.warn(format!("{failure}: frames are tracked against the map instead"));

@@ -5,6 +5,7 @@ use crate::keyframes;
 use crate::reconstruction::FrameEstimate;
 use crate::warning::Warning;
 use i2slam_compute::CancellationToken;
+use i2slam_geometry::StampedPose;
 use std::fmt;
 use std::sync::{Arc, Mutex};
 
@@ -59,6 +60,11 @@ pub trait Observer: Send + Sync {
 
     /// `done` of `total` frames or keyframes are processed, the last one with this estimate.
     fn frame(&self, _estimate: &FrameEstimate, _done: usize, _total: usize) {}
+
+    /// The pose of a frame as visual odometry knows it when the frame has come, in the world of the
+    /// first keyframe. The unit of length is the metre where depth is measured, and arbitrary by colour
+    /// alone. Frames without a pose so far are left out.
+    fn pose(&self, _pose: &StampedPose) {}
 
     /// A decision that users may want to know of.
     fn note(&self, _line: &str) {}

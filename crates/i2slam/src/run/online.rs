@@ -14,6 +14,7 @@ use crate::keyframes::{
 use crate::reconstruction::FrameEstimate;
 use crate::session::{MappedFrames, OnlineMapping, OnlineSession, SessionError};
 use i2slam_dataset::Sequence;
+use i2slam_geometry::StampedPose;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -52,7 +53,13 @@ pub(super) fn find_path(
         let tracked = picture(&large, place)?;
         let mapped = if is_one_size { tracked.clone() } else { picture(sequence, place)? };
         online.wait_for_map(MAX_WAITING);
-        Ok(online.push_sizes(&tracked, mapped)?.is_keyframe)
+        let update = online.push_sizes(&tracked, mapped)?;
+        let timestamp = update.timestamp;
+        let pose = update
+            .world_from_camera
+            .map(|world_from_camera| StampedPose { timestamp, world_from_camera });
+        pose.iter().for_each(|pose| context.observer.pose(pose));
+        Ok(update.is_keyframe)
     });
     let (path, mapping) = match online.into_path(&progress) {
         Ok(found) => found,

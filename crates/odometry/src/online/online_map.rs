@@ -10,8 +10,8 @@ use crate::online::revisits::{Revisit, find_revisit};
 use crate::register::dense_constraints::{RECENT_KEYFRAMES, RecentKeyframes};
 use crate::register::initialization::initialize;
 use crate::register::registration::{
-    GLOBAL_ADJUSTMENT_GROWTH, adjust_globally, adjust_nearest, estimate_pose, initial_poses,
-    refine_pose, register_keyframes, register_remaining_frames,
+    GLOBAL_ADJUSTMENT_GROWTH, MIN_FOCAL_FRAMES, adjust_globally, adjust_nearest, estimate_pose,
+    initial_poses, refine_pose, register_keyframes, register_remaining_frames,
 };
 use crate::relocalize::relocalization::{FailedPairs, relocalize_any_of};
 use crate::rolling_shutter::readout::{
@@ -60,13 +60,16 @@ pub(crate) struct OnlineMap {
     /// The keyframe that the frames of now move with, and the frames that move with each.
     reference: usize,
     followers: BTreeMap<usize, Vec<usize>>,
+    /// True if the focal length is a guess, which is adjusted with all keyframes.
+    adjusts_focal: bool,
 }
 
 impl OnlineMap {
     /// An empty map.
-    pub(crate) fn new(state: SfmState) -> Self {
+    pub(crate) fn new(state: SfmState, adjusts_focal: bool) -> Self {
         Self {
             state,
+            adjusts_focal,
             poses: Vec::new(),
             failed: FailedPairs::default(),
             recent_keyframes: RecentKeyframes::default(),
@@ -177,8 +180,9 @@ impl OnlineMap {
             state.reset();
             return;
         }
-        register_keyframes(state, false, usize::MAX);
-        adjust_globally(state, false);
+        register_keyframes(state, self.adjusts_focal, usize::MAX);
+        let posed = state.posed_frames().len();
+        adjust_globally(state, self.adjusts_focal && posed >= MIN_FOCAL_FRAMES);
         let posed = state.posed_frames();
         self.adjusted_keyframes = posed.len();
         let recent = posed.iter().skip(posed.len().saturating_sub(RECENT_KEYFRAMES));
@@ -220,6 +224,7 @@ impl OnlineMap {
         let is_rescaled = scale_to_readings(state);
         self.recent_keyframes.align(state, frame);
         let before = posed_keyframes(state);
+        let adjusts_focal = self.adjusts_focal && before.len() >= MIN_FOCAL_FRAMES;
         let adjusted_at = &mut self.adjusted_keyframes;
         state.with_keyframes_alone(|state| {
             state.triangulate_missing_in(frame);
@@ -227,7 +232,7 @@ impl OnlineMap {
             match is_rescaled || has_grown {
                 true => {
                     *adjusted_at = before.len();
-                    adjust_globally(state, false);
+                    adjust_globally(state, adjusts_focal);
                 }
                 false => adjust_nearest(state, frame),
             }

@@ -15,6 +15,8 @@ const MIN_INLIER_RATIO: f64 = 0.5;
 const LOCAL_WINDOW: usize = 8;
 /// Growth of the number of poses at which all are adjusted.
 pub(crate) const GLOBAL_ADJUSTMENT_GROWTH: f64 = 1.3;
+/// Frames from which on the focal length is adjusted: few views leave it undetermined.
+pub(crate) const MIN_FOCAL_FRAMES: usize = 5;
 /// Distance in keyframes from a registered one within which keyframes are tried first.
 const NEIGHBOURHOOD: usize = 3;
 /// Frames up to which all are adjusted jointly every time.
@@ -32,8 +34,7 @@ pub(crate) fn register_keyframes(state: &mut SfmState, adjust_focal: bool, most:
         state.progress.report(Stage::Registration, count, state.tracks.keyframes.len());
         if count as f64 >= GLOBAL_ADJUSTMENT_GROWTH * adjusted_at as f64 {
             adjusted_at = count;
-            // Few views leave the focal length undetermined.
-            adjust_globally(state, adjust_focal && count > 4);
+            adjust_globally(state, adjust_focal && count >= MIN_FOCAL_FRAMES);
         } else {
             adjust_nearest(state, frame);
         }

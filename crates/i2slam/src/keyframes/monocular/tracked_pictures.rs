@@ -1,0 +1,127 @@
+//! Pictures of a sequence that the front end was given.
+
+use super::super::PictureError;
+use super::{MonocularError, MonocularSource, in_usual_unit};
+use i2slam_dataset::Frame;
+use i2slam_geometry::StampedPose;
+use i2slam_odometry::{
+    DepthPicture, FrontEnd, Intrinsics, OdometryError, Progress as OdometryProgress, Stage,
+};
+
+/// Positions of pictures that a front end was given.
+#[derive(Default)]
+pub(crate) struct GivenPictures {
+    /// Position in the sequence of every picture that was accepted.
+    pub(super) positions: Vec<usize>,
+    /// Others: position, reason.
+    pub(crate) refused: Vec<(usize, PictureError)>,
+    /// Keyframes among the accepted ones.
+    pub(crate) keyframes: usize,
+}
+
+impl GivenPictures {
+    /// Gives the picture of every position to `push`, which tells whether it became a keyframe, until
+    /// `progress` is cancelled.
+    pub(crate) fn give(
+        count: usize,
+        progress: &OdometryProgress,
+        mut push: impl FnMut(usize) -> Result<bool, PictureError>,
+    ) -> Self {
+        let mut given = Self::default();
+        for position in (0..count).take_while(|_| !progress.is_cancelled()) {
+            given.add(position, push(position));
+            let stage = Stage::Tracking { keyframes: given.keyframes };
+            progress.report(stage, position + 1, count);
+        }
+        given
+    }
+
+    /// Adds a position, and whether its picture became a keyframe or why it was refused.
+    pub(crate) fn add(&mut self, position: usize, pushed: Result<bool, PictureError>) {
+        match pushed {
+            Ok(is_keyframe) => {
+                self.positions.push(position);
+                self.keyframes += usize::from(is_keyframe);
+            }
+            Err(why) => self.refused.push((position, why)),
+        }
+    }
+}
+
+/// Visual odometry that has tracked pictures, and finds their path when there are no more.
+pub(crate) struct TrackedPictures {
+    front_end: FrontEnd,
+    pub(crate) given: GivenPictures,
+    /// Time stamps of the accepted pictures [s].
+    pub(crate) timestamps: Vec<f64>,
+}
+
+impl TrackedPictures {
+    /// None so far.
+    pub(crate) fn new(intrinsics: Intrinsics) -> Self {
+        let (front_end, given) = (FrontEnd::new(intrinsics), GivenPictures::default());
+        Self { front_end, given, timestamps: Vec::new() }
+    }
+
+    /// Tracks `count` pictures, until `progress` is cancelled: `load` reads the one at a position,
+    /// `on_pose` sees every pose that is known when its picture comes.
+    pub(crate) fn track(
+        intrinsics: Intrinsics,
+        count: usize,
+        mut load: impl FnMut(usize) -> Result<Frame, PictureError>,
+        progress: &OdometryProgress,
+        mut on_pose: impl FnMut(&StampedPose),
+    ) -> Self {
+        let mut tracked = Self::new(intrinsics);
+        let given = GivenPictures::give(count, progress, |position| {
+            let (is_keyframe, pose) = tracked.track_next(&load(position)?)?;
+            pose.iter().for_each(&mut on_pose);
+            Ok(is_keyframe)
+        });
+        Self { given, ..tracked }
+    }
+
+    /// Tracks the picture at a position; returns its pose, where it is known. One that does not fit is
+    /// refused.
+    pub(crate) fn push(&mut self, position: usize, picture: &Frame) -> Option<StampedPose> {
+        let tracked = self.track_next(picture);
+        let pose = tracked.as_ref().ok().and_then(|(_, pose)| *pose);
+        self.given.add(position, tracked.map(|(is_keyframe, _)| is_keyframe));
+        pose
+    }
+
+    fn track_next(&mut self, picture: &Frame) -> Result<(bool, Option<StampedPose>), PictureError> {
+        let (depth, timestamp) = (depth_picture(picture), picture.timestamp);
+        let update = self.front_end.push(&picture.colour, timestamp, depth.as_ref())?;
+        self.timestamps.push(timestamp);
+        let pose =
+            update.pose.map(|world_from_camera| StampedPose { timestamp, world_from_camera });
+        Ok((update.is_keyframe, pose))
+    }
+
+    /// Finds the path of all pictures; `load` reads those of keyframes again, in order.
+    pub(crate) fn finish<L>(
+        self,
+        load: L,
+        progress: &OdometryProgress,
+    ) -> Result<MonocularSource<L>, MonocularError>
+    where
+        L: FnMut(usize) -> Result<Frame, PictureError>,
+    {
+        let Self { front_end, given, .. } = self;
+        let found = match progress.is_cancelled() {
+            true => Err(OdometryError::Cancelled),
+            false => front_end.finish(progress.clone()),
+        };
+        match found {
+            Ok(path) => Ok(MonocularSource::of_path(in_usual_unit(path), given, load)),
+            Err(failure) => Err(MonocularError::NoPath { failure, refused: given.refused }),
+        }
+    }
+}
+
+/// Measured depth of a frame, if there is any.
+fn depth_picture(frame: &Frame) -> Option<DepthPicture<'_>> {
+    let measured = frame.depth.as_ref()?;
+    Some(DepthPicture { depth: &measured.image, timestamp: measured.timestamp })
+}
