@@ -1,7 +1,7 @@
 //! Poses as they are known when the frames come.
 
 use crate::scene::{camera, depth, moving, picture};
-use i2slam_geometry::{Image, Pose};
+use i2slam_geometry::{Camera, Image, Pose};
 use i2slam_odometry::{DepthPicture, FrameUpdate, FrontEnd, Intrinsics, Progress, TrackingStatus};
 use i2slam_storage::ScratchStore;
 use std::sync::Arc;
@@ -21,7 +21,16 @@ fn updates(
     with_depth: bool,
     is_covered: impl Fn(usize) -> bool,
 ) -> Vec<FrameUpdate> {
-    let mut front_end = FrontEnd::new(Intrinsics::Known(camera()));
+    updates_of(Intrinsics::Known(camera()), path, with_depth, is_covered)
+}
+
+fn updates_of(
+    intrinsics: Intrinsics,
+    path: &[Pose<f64>],
+    with_depth: bool,
+    is_covered: impl Fn(usize) -> bool,
+) -> Vec<FrameUpdate> {
+    let mut front_end = FrontEnd::new(intrinsics);
     let mut push = |(i, pose): (usize, &Pose<f64>)| {
         let (width, height, timestamp) = (camera().width, camera().height, i as f64 / 30.0);
         let colour = match is_covered(i) {
@@ -91,6 +100,20 @@ fn by_colour_alone_frames_have_poses_from_the_first_parallax_on() {
     assert!(found[started..].iter().all(|update| update.pose.is_some()));
     let error = online_error(&found, &path(), false);
     assert!(error < 0.03, "{error}");
+}
+
+/// With depth a guess gives no pose: its readings would fit no landmark.
+#[test]
+fn a_guessed_camera_counts_by_colour_alone() {
+    let (path, known) = (path(), camera());
+    let guess = Intrinsics::Guess(Camera { fx: 1.1 * known.fx, fy: 1.1 * known.fy, ..known });
+    let found = updates_of(guess.clone(), &path, false, |_| false);
+    let posed = found.iter().filter(|update| update.pose.is_some()).count();
+    assert!(2 * posed > FRAMES, "{posed}");
+    let error = online_error(&found, &path, false);
+    assert!(error < 0.1, "{error}");
+    let found = updates_of(guess, &path, true, |_| false);
+    assert!(found.iter().all(|update| update.status == TrackingStatus::Initializing));
 }
 
 #[test]
