@@ -107,7 +107,7 @@ fn by_colour_alone_frames_have_poses_from_the_first_parallax_on() {
 fn a_guessed_camera_counts_by_colour_alone() {
     let (path, known) = (path(), camera());
     let guess = Intrinsics::Guess(Camera { fx: 1.1 * known.fx, fy: 1.1 * known.fy, ..known });
-    let found = updates_of(guess.clone(), &path, false, |_| false);
+    let found = updates_of(guess, &path, false, |_| false);
     let posed = found.iter().filter(|update| update.pose.is_some()).count();
     assert!(2 * posed > FRAMES, "{posed}");
     let error = online_error(&found, &path, false);
