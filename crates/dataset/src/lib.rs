@@ -34,7 +34,7 @@ pub use camera::EstimatedCamera;
 pub use error::DatasetError;
 pub use formats::{
     ByteRanges, DepthEntry, DroppedFrames, FrameEntry, Layout, camera_json, paper_frames,
-    read_trajectory, trajectory_line, write_trajectory,
+    read_trajectory, write_trajectory,
 };
 pub use image::{MAX_PIXELS, read_image_size};
 pub use options::{DepthPairing, OpenOptions};

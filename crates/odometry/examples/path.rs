@@ -4,9 +4,9 @@
 //! [--scale FACTOR] [--stride N] [--fov DEGREES] [--guess FACTOR] [--open]
 //! [--online FILE] [--scratch MB]` writes `world_from_camera` poses in the TUM format, and prints
 //! their error where the sequence has a true path, also over the deviations that they claim, that of
-//! the poses as they were known when the frames came, and the time of frames and stages. Depth is used with
-//! `--depth`; with `--open` no loop is closed; with `--scratch` pictures take up to so
-//! much memory, and others leave it for a file.
+//! the poses as they were known when the frames came, and the time of frames and stages.
+//! Depth is used with `--depth`; with `--open` no loop is closed; with `--scratch` pictures take up
+//! to so much memory, and others leave it for a file.
 //! The focal length is taken from the sequence or `--fov`; it is estimated where neither gives it,
 //! or from FACTOR times that of the sequence with `--guess`.
 

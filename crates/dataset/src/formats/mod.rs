@@ -21,7 +21,7 @@ mod tum;
 pub use camera_file::camera_json;
 pub use listing::{ByteRanges, DepthEntry, DroppedFrames, FrameEntry};
 pub use scannet::paper_frames;
-pub use tum::{read_trajectory, trajectory_line, write_trajectory};
+pub use tum::{read_trajectory, write_trajectory};
 
 pub(crate) use association::pair_mutually_nearest;
 pub(crate) use camera_file::read_camera;

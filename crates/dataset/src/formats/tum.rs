@@ -7,6 +7,7 @@ use crate::camera::{Calibration, Distortion, FormatDefaults};
 use crate::text::{counted, data_lines, is_present, parse_number, parse_numbers, read_text};
 use crate::{DatasetError, OpenOptions};
 use i2slam_geometry::{Pose, Rotation, StampedPose, Trajectory, Vec3};
+use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 const COLUMNS: [&str; 8] = ["time stamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw"];
@@ -69,21 +70,16 @@ pub fn write_trajectory(
     let path = path.as_ref();
     let mut text = String::from("# world_from_camera: timestamp tx ty tz qx qy qz qw\n");
     for pose in trajectory {
-        text.push_str(&trajectory_line(pose));
-        text.push('\n');
+        let (q, t) = (pose.world_from_camera.rotation, pose.world_from_camera.translation);
+        // Writing to a string cannot fail.
+        let _ = writeln!(
+            text,
+            "{:.6} {:.9} {:.9} {:.9} {:.9} {:.9} {:.9} {:.9}",
+            pose.timestamp, t.x, t.y, t.z, q.v.x, q.v.y, q.v.z, q.w
+        );
     }
     let written = i2slam_storage::write_file(path, |out| out.write_all(text.as_bytes()));
     Ok(written?)
-}
-
-/// A pose as a line of the TUM format, without its end: time stamp [s], `world_from_camera` as
-/// translation and quaternion `x y z w`.
-pub fn trajectory_line(pose: &StampedPose) -> String {
-    let (q, t) = (pose.world_from_camera.rotation, pose.world_from_camera.translation);
-    format!(
-        "{:.6} {:.9} {:.9} {:.9} {:.9} {:.9} {:.9} {:.9}",
-        pose.timestamp, t.x, t.y, t.z, q.v.x, q.v.y, q.v.z, q.w
-    )
 }
 
 /// Reads the stamped image files of `rgb.txt` or `depth.txt`, sorted by time; paths joined to

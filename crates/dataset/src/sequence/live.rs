@@ -52,8 +52,8 @@ impl LiveSequence {
             if growing.is_none_or(|bytes| bytes > tried) {
                 tried = growing.unwrap_or_default();
                 match Sequence::open(&recording.path(), &of_first) {
-                    Err(error @ DatasetError::NoFfmpeg { .. }) => return Err(error),
-                    Err(_) if growing.is_some() => {}
+                    // Nothing can be decoded yet; other errors would stay.
+                    Err(DatasetError::File { .. }) if growing.is_some() => {}
                     opened => break opened?,
                 }
             }

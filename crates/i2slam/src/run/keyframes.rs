@@ -163,7 +163,7 @@ fn find_path(
     }
 }
 
-/// What is known of the camera of a sequence.
+/// Intrinsics of a sequence: known, or a guess that is adjusted.
 pub(super) fn intrinsics(sequence: &Sequence, estimate_distortion: bool) -> Intrinsics {
     match (sequence.camera_is_guess, estimate_distortion) {
         (true, true) => Intrinsics::GuessWithDistortion(sequence.camera),

@@ -289,7 +289,9 @@ fn reconstruct_tracked(
     let was_tracked = tracked.is_some();
     let tracked = tracked.filter(|tracked| tracked.is_of(sequence)).map(|tracked| tracked.pictures);
     if was_tracked && tracked.is_none() {
-        context.observer.note("time stamps of the stream had to be repaired: it is tracked again");
+        context.observer.note(
+            "frames or time stamps of the stream were missing when it came: it is tracked again",
+        );
     }
     let open = || match &options.poses {
         PoseSource::Map => Ok(Input::frames(sequence)),

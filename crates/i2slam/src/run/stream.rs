@@ -52,8 +52,8 @@ impl TrackedStream {
         Ok(Self { pictures })
     }
 
-    /// Whether all frames of a sequence were tracked, at the times that they have there: where time
-    /// stamps had to be repaired, those of later frames were not known.
+    /// True if all frames of the recorded sequence were tracked with the same time stamps. Stamps that
+    /// are missing in the stream are interpolated once it has ended, and differ.
     pub(super) fn is_of(&self, sequence: &Sequence) -> bool {
         let TrackedPictures { given, timestamps, .. } = &self.pictures;
         let times = sequence.entries.iter().map(|entry| &entry.timestamp);
