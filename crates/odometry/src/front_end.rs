@@ -24,7 +24,7 @@ use crate::rolling_shutter::readout::{estimate_rolling_shutter, median_frame_int
 use crate::rolling_shutter::rolling_shutter_init::initialize_readout;
 use crate::segmentation::moving_tracks::leave_out_moving_objects;
 use crate::sfm_state::SfmState;
-use crate::track::tracker::{FrameReport, Tracker};
+use crate::track::tracker::Tracker;
 use crate::track::tracks::{Tracks, repeated_frame};
 use i2slam_geometry::{Image, Pose};
 use i2slam_storage::ScratchStore;
@@ -140,21 +140,13 @@ impl FrontEnd {
         self.picture_checks.add(picture);
         let depth = depth.filter(|depth| self.is_in_time(depth.timestamp - timestamp));
         // Points are followed without the map, and the map grows by pictures that were tracked already.
-        let (FrameReport { is_cut, .. }, ()) =
-            rayon::join(|| self.tracker.track(picture), || self.map.extend());
+        let (tracked, ()) = rayon::join(|| self.tracker.track(picture), || self.map.extend());
         self.map.state.add_input(picture, timestamp, depth, &self.scratch);
-        let (frame, is_repeat) = (self.tracker.tracks.frames - 1, &self.picture_checks.is_repeat);
-        let status = match self.intrinsics {
-            // Depth at a wrong focal length fits no landmark.
-            Intrinsics::Guess(_) | Intrinsics::GuessWithDistortion(_)
-                if self.map.state.has_depth() =>
-            {
-                TrackingStatus::Initializing
-            }
-            _ => self.map.add_frame(&mut self.tracker, is_repeat),
-        };
+        let (frame, is_cut) = (self.map.state.poses.len(), tracked.is_cut);
+        let is_repeat = &self.picture_checks.is_repeat;
+        let status = self.map.add_frame(&mut self.tracker, tracked, is_repeat);
         let pose = self.map.poses.last().copied().flatten();
-        let is_keyframe = self.tracker.tracks.keyframes.last() == Some(&frame);
+        let is_keyframe = self.map.state.tracks.keyframes.last() == Some(&frame);
         Ok(FrameUpdate { frame, pose, status, is_cut, is_keyframe })
     }
 
@@ -190,22 +182,10 @@ impl FrontEnd {
         }
         let is_repeat = self.picture_checks.is_repeat.clone();
         let adjust_focal = !matches!(self.intrinsics, Intrinsics::Known(_));
-        let Self {
-            intrinsics,
-            picture_checks,
-            map,
-            tracker,
-            close_loops: closes_loops,
-            scratch,
-            ..
-        } = self;
+        let Self { intrinsics, picture_checks, map, close_loops: closes_loops, scratch, .. } = self;
         let online_poses = map.poses;
-        let mut state = initial_state(
-            SfmState { progress: progress.clone(), ..map.state },
-            tracker.tracks,
-            &intrinsics,
-            &is_repeat,
-        );
+        let mut state =
+            initial_state(SfmState { progress: progress.clone(), ..map.state }, &intrinsics);
         let found = estimate_path(&mut state, adjust_focal);
         // A cancelled search may look like any other failure.
         if progress.is_cancelled() {
@@ -259,24 +239,17 @@ fn register_depth_pictures(state: &mut SfmState, adjust_focal: bool) {
 
 /// The state that adjustment begins with: the map so far where there is one with depth, or else the
 /// tracks alone, without those of large moving objects; a map that holds some is bent by them.
-fn initial_state(
-    online: SfmState,
-    tracks: Tracks,
-    intrinsics: &Intrinsics,
-    is_repeat: &[bool],
-) -> SfmState {
-    let own_pictures = is_repeat.iter().filter(|repeat| !**repeat).count();
-    let tracks = match own_pictures < MIN_FRAMES {
-        true => tracks,
-        false => tracks.without_repeats(is_repeat),
-    };
+fn initial_state(online: SfmState, intrinsics: &Intrinsics) -> SfmState {
     let mut state = SfmState {
         timestamps: Arc::clone(&online.timestamps),
         depth_maps: Arc::clone(&online.depth_maps),
         pictures: Arc::clone(&online.pictures),
         progress: online.progress.clone(),
         estimates_distortion: matches!(intrinsics, Intrinsics::GuessWithDistortion(_)),
-        ..SfmState::new(*intrinsics.camera(), tracks.with_two_keyframes())
+        ..SfmState::new(
+            *intrinsics.camera(),
+            online.tracks.clone().without_corrections().with_two_keyframes(),
+        )
     };
     read_depth(&mut state);
     correct_rows(&mut state);

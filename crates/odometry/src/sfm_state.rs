@@ -14,6 +14,7 @@ use crate::multiview::landmark::{Landmark, Match};
 use crate::multiview::lens_distortion::undistort;
 use crate::multiview::triangulation::{PosedObservation, triangulate};
 use crate::progress::Progress;
+use crate::track::tracker::TrackedFrame;
 use crate::track::tracks::{Observation, Track, Tracks, repeated_frame, shared_positions};
 use i2slam_geometry::{Camera, Image, Pose, Similarity};
 use i2slam_storage::ScratchStore;
@@ -113,36 +114,25 @@ impl SfmState {
             .push(is_kept.then(|| StoredPicture::new(picture, scratch)));
     }
 
-    /// Adds the last frame of the tracker, whose `tracked` points have a new observation there; one
-    /// that repeats another comes without observations.
-    pub(crate) fn add_frame(
-        &mut self,
-        tracks: &Tracks,
-        tracked: impl Iterator<Item = usize>,
-        is_repeat: &[bool],
-    ) {
+    /// Adds a frame that was tracked; one that repeats another comes without observations.
+    pub(crate) fn add_frame(&mut self, tracked: TrackedFrame, is_repeat: &[bool]) {
         let frame = self.poses.len();
         self.poses.push(None);
-        let by_frame = Arc::make_mut(&mut self.by_frame);
-        by_frame.push(Vec::new());
-        let known = self.tracks.tracks.len();
+        Arc::make_mut(&mut self.by_frame).push(Vec::new());
         if !is_repeat[frame] {
-            for index in tracked.filter(|index| *index < known) {
-                let last = tracks.tracks[index].observations.last();
-                let Some(last) = last.filter(|o| o.frame == frame) else { continue };
-                self.tracks.tracks[index].observations.push(*last);
-                by_frame[frame].push(index);
-            }
+            self.add_observations(tracked.observed);
         }
-        for (index, track) in tracks.tracks.iter().enumerate().skip(known) {
-            let mut track = track.clone();
+        let by_frame = Arc::make_mut(&mut self.by_frame);
+        for mut track in tracked.started {
             track.observations.retain(|o| !is_repeat[o.frame]);
-            track.observations.iter().for_each(|o| by_frame[o.frame].push(index));
+            track.observations.iter().for_each(|o| by_frame[o.frame].push(self.landmarks.len()));
             self.tracks.tracks.push(track);
             self.landmarks.push(None);
         }
         self.tracks.frames = frame + 1;
-        self.tracks.add_last_keyframe(tracks, repeated_frame(is_repeat, frame));
+        if let Some(image) = tracked.keyframe {
+            self.tracks.add_keyframe(&image, repeated_frame(is_repeat, frame));
+        }
     }
 
     /// An empty state of the keyframes alone, with the same camera.

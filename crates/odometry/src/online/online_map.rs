@@ -20,7 +20,7 @@ use crate::rolling_shutter::readout::{
 };
 use crate::rolling_shutter::rolling_shutter_init::initialize_readout;
 use crate::sfm_state::{MAX_READOUT, SfmState};
-use crate::track::tracker::{BACKWARD_FRAMES, Tracker};
+use crate::track::tracker::{BACKWARD_FRAMES, TrackedFrame, Tracker};
 use crate::track::tracks::repeated_frame;
 use i2slam_compute::median;
 use i2slam_geometry::{Pose, Similarity};
@@ -84,24 +84,34 @@ impl OnlineMap {
     pub(crate) fn add_frame(
         &mut self,
         tracker: &mut Tracker,
+        tracked: TrackedFrame,
         is_repeat: &[bool],
     ) -> TrackingStatus {
         let frame = self.state.poses.len();
-        self.state.add_frame(&tracker.tracks, tracker.tracked(), is_repeat);
-        let interval = median_frame_interval(&self.state.timestamps).unwrap_or(0.0);
-        if !is_repeat[frame] {
-            match self.is_started() {
-                true => self.register(frame, interval),
-                false => self.measure_again(frame, interval),
-            }
-        }
+        let is_keyframe = tracked.keyframe.is_some();
+        self.state.add_frame(tracked, is_repeat);
         let own = repeated_frame(is_repeat, frame);
-        if tracker.tracks.keyframes.last() == Some(&frame) {
-            self.begin_keyframe(own, tracker, interval);
+        if !self.awaits_camera() {
+            let interval = median_frame_interval(&self.state.timestamps).unwrap_or(0.0);
+            if !is_repeat[frame] {
+                match self.is_started() {
+                    true => self.register(frame, interval),
+                    false => self.measure_again(frame, interval),
+                }
+            }
+            if is_keyframe {
+                self.begin_keyframe(own, tracker, interval);
+            }
+            self.followers.entry(self.reference).or_default().push(frame);
         }
-        self.followers.entry(self.reference).or_default().push(frame);
         self.poses.push(self.state.poses[own]);
         self.status()
+    }
+
+    /// True where depth was measured and the camera is a guess: depth at a wrong focal length fits no
+    /// landmark.
+    fn awaits_camera(&self) -> bool {
+        self.adjusts_focal && self.state.has_depth()
     }
 
     /// Starts a map at a keyframe, or prepares the present one to be extended by it.
@@ -142,7 +152,6 @@ impl OnlineMap {
         }
         let Some(keyframe) = covered_by else { return false };
         state.tracks.drop_last_keyframe();
-        tracker.drop_keyframe();
         self.reference = keyframe;
         true
     }
@@ -150,6 +159,9 @@ impl OnlineMap {
     /// Extends the map by the last frame if it was a keyframe, and looks for the readout where that is
     /// due. It needs no new picture, so that it may run while the next one is tracked.
     pub(crate) fn extend(&mut self) {
+        if self.awaits_camera() {
+            return;
+        }
         let interval = median_frame_interval(&self.state.timestamps).unwrap_or(0.0);
         if let Some(frame) = self.pending_keyframe.take() {
             self.add_keyframe(frame, interval);

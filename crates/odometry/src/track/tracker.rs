@@ -11,7 +11,7 @@ use crate::track::point_search::{
 };
 use crate::track::pyramid::Pyramid;
 use crate::track::thumbnail::KeyframeImage;
-use crate::track::tracks::{Observation, Track, Tracks};
+use crate::track::tracks::{Observation, Track};
 use i2slam_compute::median;
 use i2slam_geometry::Image;
 use rayon::prelude::*;
@@ -36,6 +36,8 @@ pub(crate) const BACKWARD_FRAMES: usize = 16;
 /// A keyframe waits for a frame of this ratio of the median sharpness, for so many frames.
 const MIN_KEYFRAME_SHARPNESS: f32 = 0.85;
 const MAX_KEYFRAME_DELAY: usize = 3;
+/// Pictures whose median sharpness is the usual one.
+const SHARPNESS_FRAMES: usize = 15;
 /// Smallest side of a cell [px].
 const MIN_CELL: usize = 8;
 /// Points that a keyframe must show: with fewer it could not be registered.
@@ -73,27 +75,33 @@ struct TrackedPicture {
     blur: [f32; 2],
 }
 
-/// Tracking summary of one picture.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct FrameReport {
+/// What was tracked into one picture. Tracks are numbered as they begin.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct TrackedFrame {
     /// The picture shows another scene than the one before.
     pub(crate) is_cut: bool,
-    /// The picture became a keyframe.
-    pub(crate) is_keyframe: bool,
+    /// Observations in the picture of tracks that began before it.
+    pub(crate) observed: Vec<(usize, Observation)>,
+    /// Tracks that begin with it, with their observations in the frames before.
+    pub(crate) started: Vec<Track>,
+    /// The picture in small, if it became a keyframe.
+    pub(crate) keyframe: Option<Arc<KeyframeImage>>,
 }
 
 /// Tracker of points through a sequence.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Tracker {
-    /// All tracks so far.
-    pub(crate) tracks: Tracks,
+    /// Number of pictures, and of tracks.
+    pub(crate) frames: usize,
+    tracks: usize,
     points: Vec<TrackedPoint>,
     /// Last frames, newest at the back.
     recent: VecDeque<TrackedPicture>,
     /// Keyframes of the points' anchors.
     anchors: BTreeMap<usize, TrackedPicture>,
     shutter: ShutterShare,
-    sharpness: Vec<f32>,
+    /// Sharpness of the last [`SHARPNESS_FRAMES`] pictures.
+    sharpness: VecDeque<f32>,
     /// The last frame from which points began, points there, and the first track that began in it.
     last_keyframe: usize,
     keyframe_points: usize,
@@ -104,34 +112,32 @@ pub(crate) struct Tracker {
 
 impl Tracker {
     /// Tracks all points into the next picture.
-    pub(crate) fn track(&mut self, picture: &Image<f32>) -> FrameReport {
-        let frame = self.tracks.frames;
+    pub(crate) fn track(&mut self, picture: &Image<f32>) -> TrackedFrame {
+        let frame = self.frames;
         let pyramid = Pyramid::new(picture);
         let mut next = TrackedPicture { pyramid, shift: [0.0; 2], blur: [0.0; 2] };
-        let is_cut = self.track_points(&mut next, frame);
+        let mut tracked = self.track_points(&mut next, frame);
         let image = next.pyramid.finest();
-        self.sharpness.push(sharpness(image));
-        let is_keyframe = frame == 0 || is_cut || self.keyframe_is_due(image);
-        if is_keyframe {
-            self.begin_keyframe(&next, frame);
+        self.sharpness.push_back(sharpness(image));
+        if self.sharpness.len() > SHARPNESS_FRAMES {
+            self.sharpness.pop_front();
         }
-        self.tracks.frames += 1;
+        if frame == 0 || tracked.is_cut || self.keyframe_is_due(image) {
+            tracked.started = self.begin_keyframe(&next, frame);
+            tracked.keyframe = Some(Arc::new(KeyframeImage::new(&next.pyramid, frame)));
+        }
+        self.frames += 1;
         self.recent.push_back(next);
         if self.recent.len() > BACKWARD_FRAMES {
             self.recent.pop_front();
         }
-        FrameReport { is_cut, is_keyframe }
+        tracked
     }
 
-    /// Tracks with an observation in the last frame.
-    pub(crate) fn tracked(&self) -> impl Iterator<Item = usize> {
-        self.points.iter().filter(|point| point.hidden_frames == 0).map(|point| point.track)
-    }
-
-    /// Tracks all points, and finds translation and blur of the picture; returns whether the scene
-    /// changed.
-    fn track_points(&mut self, next: &mut TrackedPicture, frame: usize) -> bool {
-        let Some(last) = self.recent.back() else { return false };
+    /// Tracks all points, and finds translation and blur of the picture.
+    fn track_points(&mut self, next: &mut TrackedPicture, frame: usize) -> TrackedFrame {
+        let mut tracked = TrackedFrame::default();
+        let Some(last) = self.recent.back() else { return tracked };
         let (coarse, scale) = last.pyramid.coarsest();
         let (translation, correlation) =
             estimate_global_translation(coarse, next.pyramid.coarsest().0);
@@ -145,24 +151,23 @@ impl Tracker {
         }
         next.blur = motion.map(|v| v * self.shutter.value());
         let outcomes = self.search_points(&followed, next);
-        let mut found = 0;
         for (point, outcome) in self.points.iter_mut().zip(&outcomes) {
             (point.is_followed, point.warp) = (outcome.is_followed, outcome.warp);
             let Some(correlation) = outcome.correlation else {
                 point.hidden_frames += 1;
                 continue;
             };
-            found += 1;
             (point.correlation, point.hidden_frames) = (correlation, 0);
-            self.tracks.tracks[point.track].observations.extend(outcome.observation(frame));
+            tracked.observed.extend(outcome.observation(frame).map(|o| (point.track, o)));
         }
         // Both tests must agree: a flash spoils the correlation, fast motion loses points.
-        let is_cut = correlation < CUT_CORRELATION && 3 * found < self.points.len();
+        let is_cut =
+            correlation < CUT_CORRELATION && 3 * tracked.observed.len() < self.points.len();
         self.points.retain(|p| p.hidden_frames <= MAX_HIDDEN_FRAMES && !is_cut);
         if is_cut {
             self.recent.clear();
         }
-        is_cut
+        TrackedFrame { is_cut, ..tracked }
     }
 
     /// Compares the anchors of all followed points with the next picture.
@@ -235,7 +240,7 @@ impl Tracker {
         let overlap = motions.len() as f32 / self.keyframe_points.max(1) as f32;
         let motion = median(&mut motions).unwrap_or(f32::INFINITY);
         let width = image.width as f32;
-        let is_late = self.tracks.frames >= self.last_keyframe + KEYFRAME_INTERVAL
+        let is_late = self.frames >= self.last_keyframe + KEYFRAME_INTERVAL
             && motion > MIN_KEYFRAME_MOTION * width;
         if motion < KEYFRAME_DUE_MOTION * width && overlap > KEYFRAME_DUE_OVERLAP && !is_late {
             self.frames_due = 0;
@@ -246,9 +251,8 @@ impl Tracker {
             return false;
         }
         self.frames_due += 1;
-        let recent = self.sharpness.len().saturating_sub(15);
-        let usual = median(&mut self.sharpness[recent..].to_vec()).unwrap_or(0.0);
-        let now = self.sharpness.last().copied().unwrap_or(0.0);
+        let usual = median(&mut Vec::from_iter(self.sharpness.iter().copied())).unwrap_or(0.0);
+        let now = self.sharpness.back().copied().unwrap_or(0.0);
         now >= MIN_KEYFRAME_SHARPNESS * usual || self.frames_due > MAX_KEYFRAME_DELAY
     }
 
@@ -260,13 +264,11 @@ impl Tracker {
             && followed.len() + new_corners(image, &followed).len() < MIN_POINTS
     }
 
-    /// Gives points that have changed a new anchor and starts points in empty cells.
-    fn begin_keyframe(&mut self, next: &TrackedPicture, frame: usize) {
+    /// Gives points that have changed a new anchor and starts points in empty cells; returns the
+    /// tracks of those.
+    fn begin_keyframe(&mut self, next: &TrackedPicture, frame: usize) -> Vec<Track> {
         (self.frames_due, self.last_keyframe) = (0, frame);
-        self.first_new_track = self.tracks.tracks.len();
-        self.tracks.keyframes.push(frame);
-        let image = KeyframeImage::new(&next.pyramid, frame);
-        self.tracks.keyframe_images.push(Arc::new(image));
+        self.first_new_track = self.tracks;
         for point in &mut self.points {
             let is_aged = point.hidden_frames == 0 && point.correlation < REANCHOR_CORRELATION;
             if let Some(anchor) =
@@ -282,13 +284,15 @@ impl Tracker {
             self.recent.par_iter().rev().map(|before| next.equal_blur(before)).collect();
         let start = |at: &[f32; 2]| self.start_point(next, *at, frame, &equal);
         let started: Vec<Option<(TrackedPoint, Track)>> = corners.par_iter().map(start).collect();
-        for (mut point, track) in started.into_iter().flatten() {
-            point.track = self.tracks.tracks.len();
-            self.points.push(point);
-            self.tracks.tracks.push(track);
+        let mut tracks = Vec::new();
+        for (point, track) in started.into_iter().flatten() {
+            self.points.push(TrackedPoint { track: self.tracks, ..point });
+            self.tracks += 1;
+            tracks.push(track);
         }
         self.anchors.insert(frame, next.clone());
         self.end_keyframe();
+        tracks
     }
 
     /// Starts to measure motion and overlap from the last keyframe, and drops anchors without points.
@@ -385,14 +389,15 @@ mod tests {
         let room = picture(|i, j| 0.5 + 0.3 * wave(i, j));
         for spread in [0.0, 0.002] {
             let mut tracker = Tracker::default();
-            tracker.track(&room);
-            for seed in 0..40 {
+            let mut is_keyframe = |picture: &Image<f32>| tracker.track(picture).keyframe.is_some();
+            assert!(is_keyframe(&room));
+            let of_noise = |seed| {
                 let n = noise(seed, 96 * 72);
-                tracker.track(&picture(|i, j| spread * (1.0 + n[j * 96 + i] as f32)));
-            }
-            assert!((0..=MAX_KEYFRAME_DELAY).any(|_| tracker.track(&room).is_keyframe));
-            let keyframes = tracker.tracks.keyframes;
-            assert!(keyframes.len() <= 3, "{keyframes:?}");
+                picture(|i, j| spread * (1.0 + n[j * 96 + i] as f32))
+            };
+            let keyframes = (0..40).filter(|seed| is_keyframe(&of_noise(*seed))).count();
+            assert!(keyframes <= 1, "{keyframes}");
+            assert!((0..=MAX_KEYFRAME_DELAY).any(|_| is_keyframe(&room)));
         }
     }
 }

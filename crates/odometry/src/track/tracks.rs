@@ -86,31 +86,19 @@ impl Tracks {
         self
     }
 
-    /// The tracks without observations in frames that repeat the picture before them: they say
-    /// nothing new, and nothing of the camera's motion. Keyframes among them become the frame that
-    /// they repeat.
-    pub(crate) fn without_repeats(mut self, is_repeat: &[bool]) -> Self {
-        let repeats = |frame: usize| is_repeat.get(frame).copied().unwrap_or(false);
-        for track in &mut self.tracks {
-            track.observations.retain(|o| !repeats(o.frame));
+    /// The tracks as they were measured: without corrections, outliers and depth.
+    pub(crate) fn without_corrections(mut self) -> Self {
+        for o in self.tracks.iter_mut().flat_map(|track| &mut track.observations) {
+            *o = Observation::new(o.frame, o.raw, o.sigma);
         }
-        self.keyframes.iter_mut().for_each(|frame| *frame = repeated_frame(is_repeat, *frame));
-        self.keyframes.dedup();
-        for image in &mut self.keyframe_images {
-            *image = KeyframeImage::of_frame(image, repeated_frame(is_repeat, image.frame));
-        }
-        self.keyframe_images.dedup_by_key(|image| image.frame);
         self
     }
 
-    /// Adds the last frame of other tracks where it is a keyframe, as the frame that it repeats.
-    pub(crate) fn add_last_keyframe(&mut self, other: &Self, repeated: usize) {
-        let is_keyframe = other.keyframes.last().is_some_and(|frame| frame + 1 == other.frames);
-        if is_keyframe && self.keyframes.last() != Some(&repeated) {
-            self.keyframes.push(repeated);
-            let image = other.keyframe_images.last();
-            self.keyframe_images
-                .extend(image.map(|image| KeyframeImage::of_frame(image, repeated)));
+    /// Makes a frame with its picture a keyframe, unless it is the last one already.
+    pub(crate) fn add_keyframe(&mut self, image: &Arc<KeyframeImage>, frame: usize) {
+        if self.keyframes.last() != Some(&frame) {
+            self.keyframes.push(frame);
+            self.keyframe_images.push(KeyframeImage::of_frame(image, frame));
         }
     }
 
@@ -172,19 +160,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn repeated_pictures_are_left_out() {
+    fn a_repeated_picture_stands_for_the_frame_that_it_repeats() {
         let is_repeat = [false, false, true, true, false, true];
         assert_eq!([0, 3, 5].map(|frame| repeated_frame(&is_repeat, frame)), [0, 1, 4]);
-        let seen = |frame: usize| Observation::new(frame, [1.0, 2.0], 0.3);
-        let tracks = Tracks {
-            tracks: vec![Track { observations: (0..6).map(seen).collect() }],
-            keyframes: vec![0, 2, 3, 5],
-            frames: 6,
-            ..Tracks::default()
-        };
-        let left = tracks.without_repeats(&is_repeat);
-        assert_eq!(left.keyframes, [0, 1, 4]);
-        let frames: Vec<usize> = left.tracks[0].observations.iter().map(|o| o.frame).collect();
-        assert_eq!(frames, [0, 1, 4]);
     }
 }
