@@ -228,6 +228,7 @@ mod tests {
     use super::*;
     use crate::bundle::RelativePoseFactor;
     use crate::fixtures;
+    use crate::track::tracks::Observation;
     use i2slam_check::noise;
     use i2slam_compute::median;
     use i2slam_geometry::{Rotation, Tangent};
@@ -335,7 +336,7 @@ mod tests {
             if !is_crossing {
                 continue;
             }
-            let at = seen[0].at;
+            let at = seen[0].at();
             let ray = path(seen[0].frame)
                 .rotation
                 .rotate(fixtures::camera().unproject(at[0], at[1], 1.0));
@@ -343,7 +344,7 @@ mod tests {
                 let here = path(o.frame).rotation.inverse().rotate(ray);
                 let (u, v) = fixtures::camera().project(here);
                 let n = noise(o.frame as u64 + 77 * at[0] as u64, 2);
-                (o.at, o.raw) = ([u + n[0], v + n[1]], [u, v]);
+                *o = Observation::new(o.frame, [u, v], o.sigma()).moved_to([u + n[0], v + n[1]]);
             }
             *landmark = None;
         }

@@ -330,7 +330,11 @@ fn keyframes_with_depth(
             let usable = landmark.inverse_depth() > 1e-4 && point_in_camera.z > 0.0;
             let slope = landmark.depth_by_inverse_depth(&pose);
             let variance = variance * (noise_scale * slope).powi(2);
-            usable.then_some(SparseDepth { at: observation.at, depth: point_in_camera.z, variance })
+            usable.then_some(SparseDepth {
+                at: observation.at(),
+                depth: point_in_camera.z,
+                variance,
+            })
         };
         let depths = discard_unreliable_near_points(
             state.observations_in(index).filter_map(depth).collect(),
@@ -394,7 +398,8 @@ mod tests {
             let mut state = fixtures::state((8, 30, 1), [100.0; 2], |_| Pose::identity(), observe);
             for (index, track) in state.tracks.tracks.iter_mut().enumerate() {
                 let inverse = 0.4 + 0.001 * index as f64;
-                track.observations[0].depth = Some(DepthReading { inverse, sigma: 0.01 });
+                let o = &mut track.observations[0];
+                *o = o.with_depth(Some(DepthReading { inverse, sigma: 0.01 }));
             }
             state.landmarks.fill(None);
             state.triangulate_missing();

@@ -345,8 +345,9 @@ impl SfmState {
     pub(crate) fn update_distortion(&mut self, change: [f64; 2]) {
         (0..2).for_each(|i| self.distortion[i] += change[i]);
         for o in self.tracks.tracks.iter_mut().flat_map(|t| &mut t.observations) {
-            let moved = undistort(&self.camera, change, o.raw);
-            (0..2).for_each(|i| o.at[i] += moved[i] - o.raw[i]);
+            let moved = undistort(&self.camera, change, o.raw());
+            let (at, raw) = (o.at(), o.raw());
+            *o = o.moved_to(std::array::from_fn(|i| at[i] + moved[i] - raw[i]));
         }
     }
 
@@ -360,8 +361,9 @@ impl SfmState {
         self.readout = readout;
         let (camera, distortion) = (self.camera, self.distortion);
         for o in self.tracks.tracks.iter_mut().flat_map(|t| &mut t.observations) {
-            let flat = undistort(&camera, distortion, o.raw);
-            (0..2).for_each(|i| o.at[i] = flat[i] + ratio * (o.at[i] - flat[i]));
+            let flat = undistort(&camera, distortion, o.raw());
+            let at = o.at();
+            *o = o.moved_to(std::array::from_fn(|i| flat[i] + ratio * (at[i] - flat[i])));
         }
     }
 }

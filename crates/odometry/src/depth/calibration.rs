@@ -223,7 +223,7 @@ fn adjusted_keyframes(state: &SfmState, displacement: Option<Displacement>) -> S
         None => {
             out.depth_maps = Arc::default();
             let observations = out.tracks.tracks.iter_mut().flat_map(|t| &mut t.observations);
-            observations.for_each(|o| o.depth = None);
+            observations.for_each(|o| *o = o.with_depth(None));
         }
     }
     adjust_globally(&mut out, false);
@@ -328,8 +328,8 @@ fn of_frame(
         let by = |of: &dyn Fn(usize) -> f64| std::array::from_fn(of);
         let velocity = by(&|i| (later[i] - earlier[i]) / (2.0 * reach));
         let bend = by(&|i| (later[i] + earlier[i] - 2.0 * now[i]) / (2.0 * reach * reach));
-        let flat = undistort(camera, distortion, o.raw);
-        (0..2).for_each(|i| now[i] = o.raw[i] + o.at[i] - flat[i]);
+        let flat = undistort(camera, distortion, o.raw());
+        (0..2).for_each(|i| now[i] = o.raw()[i] + o.at()[i] - flat[i]);
         let later = map.timestamp - state.timestamps[frame];
         (now[2] > 0.0).then_some(Prediction { frame, now, velocity, bend, later })
     };

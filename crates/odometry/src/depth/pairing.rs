@@ -28,7 +28,7 @@ pub(super) fn pair_depth(state: &mut SfmState) {
     }
     state.depth_maps = Arc::new(paired);
     let observations = state.tracks.tracks.iter_mut().flat_map(|track| &mut track.observations);
-    observations.for_each(|o| o.depth = None);
+    observations.for_each(|o| *o = o.with_depth(None));
     read_depth(state);
 }
 

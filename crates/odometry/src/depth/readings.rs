@@ -56,12 +56,14 @@ fn read_depth_within(state: &mut SfmState, frame: usize, interval: f64, max_erro
         let (moved, nearer) = between.unwrap_or_default();
         (0..2).for_each(|i| at[i] += moved[i]);
         let read = map.inverse_at(at).map(|inverse| inverse - nearer);
-        o.depth = read
+        let depth = read
             .filter(|inverse| *inverse > 0.0 && !state.is_unscaled)
             .map(|inverse| DepthReading { inverse, sigma: model.sigma(inverse) });
+        *o = o.with_depth(depth);
         let residual = view.and_then(|(landmark, [pose, _])| residual(landmark, pose, o));
-        o.depth =
-            o.depth.filter(|reading| residual.is_none_or(|r| r.abs() <= max_error * reading.sigma));
+        *o = o.with_depth(
+            depth.filter(|reading| residual.is_none_or(|r| r.abs() <= max_error * reading.sigma)),
+        );
     }
 }
 
@@ -72,8 +74,8 @@ pub(super) fn position_in_depth_picture(
     model: &DepthModel,
     o: &Observation,
 ) -> [f64; 2] {
-    let flat = undistort(camera, distortion, o.raw);
-    std::array::from_fn(|i| o.raw[i] + o.at[i] - flat[i] + model.shift[i])
+    let flat = undistort(camera, distortion, o.raw());
+    std::array::from_fn(|i| o.raw()[i] + o.at()[i] - flat[i] + model.shift[i])
 }
 
 /// Updates the sensor's deviations from all registered frames, and reads depth anew.
@@ -87,7 +89,9 @@ pub(crate) fn update_depth_model(state: &mut SfmState) {
             track.observations.iter().filter(|o| !o.is_outlier && state.is_adjusted(o.frame));
         let off = |o: &Observation| {
             let view = landmark.as_ref().zip(state.poses[o.frame].as_ref());
-            view.and_then(|(landmark, pose)| Some([o.depth?.inverse, residual(landmark, pose, o)?]))
+            view.and_then(|(landmark, pose)| {
+                Some([o.depth()?.inverse, residual(landmark, pose, o)?])
+            })
         };
         let of_landmark: Vec<[f64; 2]> = seen.filter_map(off).collect();
         // A landmark lies where its first readings say.
@@ -101,7 +105,7 @@ pub(crate) fn update_depth_model(state: &mut SfmState) {
 
 /// Inverse depth of a landmark in a frame minus the one read there.
 fn residual(landmark: &Landmark, pose: &Pose<f64>, o: &Observation) -> Option<f64> {
-    Some(landmark.inverse_depth_in(pose) - o.depth?.inverse)
+    Some(landmark.inverse_depth_in(pose) - o.depth()?.inverse)
 }
 
 /// Poses of a frame when its colour and its depth picture were taken.

@@ -80,7 +80,7 @@ mod tests {
                 let Some(landmark) = &state.landmarks[track] else { continue };
                 let off = (error * noise(track as u64, 1)[0]).exp();
                 let z = off / landmark.inverse_depth_in(&path(frame));
-                let [column, row] = o.at.map(|v| v as usize);
+                let [column, row] = o.at().map(|v| v as usize);
                 for (c, r) in
                     [(0, 0), (0, 1), (1, 0), (1, 1), (2, 0), (2, 1), (0, 2), (1, 2), (2, 2)]
                 {

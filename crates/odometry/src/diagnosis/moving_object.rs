@@ -11,7 +11,7 @@ const MIN_OBSERVATIONS: usize = 4;
 pub(crate) fn moving_parts(state: &SfmState) -> Vec<MovingPart> {
     let mut moving = vec![Vec::new(); state.poses.len()];
     for o in state.moving_tracks.iter().flat_map(|track| &track.observations) {
-        moving[o.frame].push((o.raw, true));
+        moving[o.frame].push((o.raw(), true));
     }
     let posed = state.posed_frames();
     let share = |frame: usize| {
@@ -28,5 +28,5 @@ fn explained_points(state: &SfmState, frame: usize) -> impl Iterator<Item = ([f6
         seen.iter().filter(|o| state.poses[o.frame].is_some()).count() >= MIN_OBSERVATIONS
     };
     let observations = state.observations_in(frame).filter(move |(track, _)| is_judged(*track));
-    observations.map(|(track, o)| (o.raw, state.landmarks[track].is_none() || o.is_outlier))
+    observations.map(|(track, o)| (o.raw(), state.landmarks[track].is_none() || o.is_outlier))
 }

@@ -303,7 +303,7 @@ mod tests {
         state.poses = (0..KEYFRAMES).map(place).collect();
         let first = |t: &Track| {
             let o = t.observations[0];
-            Some(Landmark::on_ray(&camera, place(o.frame)?, o.at, 0.5))
+            Some(Landmark::on_ray(&camera, place(o.frame)?, o.at(), 0.5))
         };
         state.landmarks = state.tracks.tracks.iter().map(first).collect();
         state

@@ -140,8 +140,9 @@ pub(crate) const MAX_INLIER_ERROR: f64 = 5.0;
 
 /// Length of a match's reprojection error [standard deviations]; infinite behind the camera.
 pub(crate) fn reprojection_error(camera: &Camera<f64>, pose: &Pose<f64>, m: &Match<'_>) -> f64 {
-    m.0.image_position(camera, pose)
-        .map_or(f64::INFINITY, |at| length([at[0] - m.1.at[0], at[1] - m.1.at[1]]) / m.1.sigma)
+    m.0.image_position(camera, pose).map_or(f64::INFINITY, |at| {
+        length([at[0] - m.1.at()[0], at[1] - m.1.at()[1]]) / m.1.sigma()
+    })
 }
 
 #[cfg(test)]

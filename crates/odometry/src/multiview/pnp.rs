@@ -102,13 +102,13 @@ fn normal_equations(
             cost += loss(100.0).1;
             continue;
         };
-        let r: [f64; 2] = std::array::from_fn(|i| p.at[i] - observation.at[i]);
-        let (weight, of_position) = loss(length(r) / observation.sigma);
+        let r: [f64; 2] = std::array::from_fn(|i| p.at[i] - observation.at()[i]);
+        let (weight, of_position) = loss(length(r) / observation.sigma());
         cost += of_position;
         for i in 0..2 {
-            sum.add(&p.by_pose[i], r[i], weight / (observation.sigma * observation.sigma));
+            sum.add(&p.by_pose[i], r[i], weight / (observation.sigma() * observation.sigma()));
         }
-        if let Some(depth) = &observation.depth {
+        if let Some(depth) = &observation.depth() {
             let (r, sigma) = (p.inverse_depth - depth.inverse, depth.sigma / noise);
             let (weight, of_depth) = loss(r.abs() / sigma);
             cost += of_depth;

@@ -22,7 +22,7 @@ pub(crate) fn triangulate(
     noise: f64,
 ) -> Option<Landmark> {
     let (first, rest) = observations.split_first()?;
-    let on_ray = |inverse: f64| Landmark::on_ray(camera, first.1, first.0.at, inverse);
+    let on_ray = |inverse: f64| Landmark::on_ray(camera, first.1, first.0.at(), inverse);
     let by_depth = observations.iter().find_map(|o| measured_inverse_depth(camera, first.1, o));
     let by_depth =
         by_depth.and_then(|inverse| consistent(camera, on_ray(inverse), observations, noise));
@@ -39,9 +39,9 @@ fn measured_inverse_depth(
     first: Pose<f64>,
     (observation, pose): &PosedObservation<'_>,
 ) -> Option<f64> {
-    let z = observation.depth?.inverse.recip();
+    let z = observation.depth()?.inverse.recip();
     let point =
-        first.inverse() * (*pose * camera.unproject(observation.at[0], observation.at[1], z));
+        first.inverse() * (*pose * camera.unproject(observation.at()[0], observation.at()[1], z));
     (point.z > 0.0).then(|| point.z.recip())
 }
 
@@ -80,7 +80,7 @@ fn inverse_depth(
     let direction = landmark.rotation * Vec3::new(landmark.values[0], landmark.values[1], 1.0);
     let (mut above, mut below) = (0.0, 1e-12);
     for (observation, pose) in observations {
-        let x = camera.unproject(observation.at[0], observation.at[1], 1.0);
+        let x = camera.unproject(observation.at()[0], observation.at()[1], 1.0);
         let inverse = pose.rotation.inverse();
         let a = x.cross(inverse.rotate(landmark.origin - pose.translation));
         let b = x.cross(inverse.rotate(direction));
@@ -122,13 +122,13 @@ fn normal_equations(
     let mut cost = 0.0;
     for (observation, pose) in observations {
         let p = landmark.project(camera, pose)?;
-        let r: [f64; 2] = std::array::from_fn(|i| p.at[i] - observation.at[i]);
-        let (weight, loss) = huber(length(r) / observation.sigma);
+        let r: [f64; 2] = std::array::from_fn(|i| p.at[i] - observation.at()[i]);
+        let (weight, loss) = huber(length(r) / observation.sigma());
         cost += loss;
         for i in 0..2 {
-            sum.add(&p.by_landmark[i], r[i], weight / (observation.sigma * observation.sigma));
+            sum.add(&p.by_landmark[i], r[i], weight / (observation.sigma() * observation.sigma()));
         }
-        if let Some(depth) = &observation.depth {
+        if let Some(depth) = &observation.depth() {
             let r = p.inverse_depth - depth.inverse;
             let (weight, loss) = huber(r.abs() / depth.sigma);
             cost += loss;
@@ -165,7 +165,8 @@ mod tests {
             let (p, q) = (found.position(), point);
             assert!((p * p.z.recip() - q * q.z.recip()).norm() < 1e-4, "{p:?}");
             assert!((found.inverse_depth() - 1.0 / (pose(0).inverse() * point).z).abs() < 1e-6);
-            observations[1].at[1] += 30.0;
+            let [u, v] = observations[1].at();
+            observations[1] = observations[1].moved_to([u, v + 30.0]);
             assert!(posed(&observations).is_none());
         }
     }

@@ -245,6 +245,7 @@ fn camera_of(camera: &Camera<f64>, picture: &Image<f32>) -> Camera<f64> {
 mod tests {
     use super::*;
     use crate::fixtures;
+    use crate::track::tracks::Observation;
     use i2slam_geometry::{Rotation, Vec3};
 
     /// Keyframes while a camera walks on for 60 frames; then it stays where frame 20 was.
@@ -263,7 +264,7 @@ mod tests {
         let again = |frame: usize| {
             let at = |track: &usize| state.tracks.tracks[*track].observation_in(20).copied();
             let seen = known.iter().filter_map(|track| Some((*track, at(track)?)));
-            seen.map(|(track, o)| (track, crate::track::tracks::Observation { frame, ..o }))
+            seen.map(|(track, o)| (track, Observation::new(frame, o.at(), o.sigma())))
                 .collect::<Vec<_>>()
         };
         let observations: Vec<_> = (70..160).flat_map(again).collect();

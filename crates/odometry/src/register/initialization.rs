@@ -60,7 +60,10 @@ pub(crate) fn initialize(state: &mut SfmState, places: Range<usize>) -> Result<(
 /// Poses the keyframe with most depth readings; false if none has enough of them.
 fn initialize_from_depth(state: &mut SfmState, places: Range<usize>) -> bool {
     let readings = |frame: usize| {
-        state.observations_in(frame).filter(|(_, observation)| observation.depth.is_some()).count()
+        state
+            .observations_in(frame)
+            .filter(|(_, observation)| observation.depth().is_some())
+            .count()
     };
     let keyframes = state.tracks.keyframes[places].iter();
     let best = keyframes.map(|frame| (readings(*frame), *frame)).max_by_key(|(count, _)| *count);

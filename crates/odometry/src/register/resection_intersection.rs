@@ -120,13 +120,13 @@ fn bundle_of_frame(
 /// An observation of the first pose of a bundle.
 fn observation(state: &SfmState, o: &Observation) -> BundleObservation {
     let (depth, camera_jacobian) = (scaled_depth(state, o), [[0.0; 2]; 2]);
-    BundleObservation { pose: 0, at: o.at, sigma: o.sigma, camera_jacobian, depth }
+    BundleObservation { pose: 0, at: o.at(), sigma: o.sigma(), camera_jacobian, depth }
 }
 
 /// The reading of an observation, its deviation as a ratio to those of positions as the tracker
 /// claims them, which residuals exceed.
 fn scaled_depth(state: &SfmState, o: &Observation) -> Option<DepthReading> {
-    o.depth.map(|d| DepthReading { sigma: d.sigma / state.noise_scale, ..d })
+    o.depth().map(|d| DepthReading { sigma: d.sigma / state.noise_scale, ..d })
 }
 
 /// Intersection of all landmarks that two adjusted frames observe.
@@ -135,10 +135,7 @@ fn adjust_landmarks(state: &mut SfmState) {
         let landmark = state.landmarks[track]?;
         let scaled: Vec<(Observation, Pose<f64>)> = state
             .adjusted_inliers(track)
-            .filter_map(|o| {
-                let depth = scaled_depth(state, o);
-                Some((Observation { depth, ..*o }, state.poses[o.frame]?))
-            })
+            .filter_map(|o| Some((o.with_depth(scaled_depth(state, o)), state.poses[o.frame]?)))
             .collect();
         let posed: Vec<PosedObservation<'_>> = scaled.iter().map(|(o, p)| (o, *p)).collect();
         if posed.len() < 2 { None } else { refine_landmark(&state.camera, landmark, &posed) }
@@ -179,7 +176,7 @@ mod tests {
             for (o, n) in track.observations.iter_mut().zip(n) {
                 let inverse = landmark.inverse_depth_in(&path(o.frame));
                 let (inverse, sigma) = (inverse * (1.0 + 0.017 * n), 0.01 * inverse);
-                o.depth = Some(DepthReading { inverse, sigma });
+                *o = o.with_depth(Some(DepthReading { inverse, sigma }));
             }
         }
         state.relative_poses = Arc::new((0..FRAMES).flat_map(constraints).collect());

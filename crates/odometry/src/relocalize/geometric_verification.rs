@@ -125,7 +125,7 @@ impl<'a> KeyframeComparison<'a> {
     /// Descriptor matches: (new track, index of the known landmark), and their new observations.
     fn match_descriptors(&self) -> (Vec<(usize, usize)>, Vec<Observation>) {
         let (new, old) = (self.new, self.old);
-        let at = |o: &Observation, image: &KeyframeImage| o.raw.map(|v| v / image.scale);
+        let at = |o: &Observation, image: &KeyframeImage| o.raw().map(|v| v / image.scale);
         let seen: Vec<(usize, &Observation)> =
             self.state.observations_in(new.frame).filter(|(_, o)| !o.is_outlier).collect();
         let here: Vec<[f64; 2]> = seen.iter().map(|(_, o)| at(o, new)).collect();
@@ -133,7 +133,7 @@ impl<'a> KeyframeComparison<'a> {
         let here = DescribedPoints::new(&self.new_pyramid, &here);
         let pairs = here.matches(&DescribedPoints::new(&self.old_pyramid, &there));
         let sigma = DESCRIPTOR_SIGMA * new.scale;
-        let rough = |(i, _): &(usize, usize)| Observation { sigma, ..*seen[*i].1 };
+        let rough = |(i, _): &(usize, usize)| seen[*i].1.with_sigma(sigma);
         let observations = pairs.iter().map(rough).collect();
         (pairs.into_iter().map(|(i, j)| (seen[i].0, j)).collect(), observations)
     }
@@ -185,15 +185,15 @@ impl<'a> KeyframeComparison<'a> {
         let rows = rolling_shutter_offset(self.state, new.frame, at);
         let centre = std::array::from_fn(|i| ((at[i] + rows[i]) / scale) as f32);
         let matrix = warp_between_views(self.state, landmark, &self.old_pose, pose)?;
-        let in_old = shown.raw.map(|v| (v / self.old.scale) as f32);
+        let in_old = shown.raw().map(|v| (v / self.old.scale) as f32);
         let anchor = AnchorPatch::new(&self.old_pyramid, in_old)?;
         let found = anchor.align(&self.new_pyramid, AffineWarp { matrix, centre }, 1)?;
         let moved = (found.warp.centre[0] - centre[0]).hypot(found.warp.centre[1] - centre[1]);
         let is_there = found.correlation > MIN_PATCH_CORRELATION && moved < MAX_SEARCH_DISTANCE;
         let at = found.warp.centre.map(|v| f64::from(v) * scale);
-        let mut observation =
-            Observation::new(new.frame, at, position_sigma(found.correlation) * scale);
-        (0..2).for_each(|i| observation.at[i] -= rows[i]);
+        let sigma = position_sigma(found.correlation) * scale;
+        let observation = Observation::new(new.frame, at, sigma)
+            .moved_to(std::array::from_fn(|i| at[i] - rows[i]));
         is_there.then_some((*track, observation))
     }
 }
@@ -227,9 +227,9 @@ fn ransac_pose(state: &SfmState, start: Pose<f64>, matches: &[Match<'_>]) -> Opt
 
 /// Correction for the rolling shutter near a position of a frame [px].
 fn rolling_shutter_offset(state: &SfmState, frame: usize, at: [f64; 2]) -> [f64; 2] {
-    let far = |o: &Observation| (o.at[0] - at[0]).powi(2) + (o.at[1] - at[1]).powi(2);
+    let far = |o: &Observation| (o.at()[0] - at[0]).powi(2) + (o.at()[1] - at[1]).powi(2);
     let near = state.observations_in(frame).min_by(|a, b| far(a.1).total_cmp(&far(b.1)));
-    near.map_or([0.0; 2], |(_, o)| [o.raw[0] - o.at[0], o.raw[1] - o.at[1]])
+    near.map_or([0.0; 2], |(_, o)| [o.raw()[0] - o.at()[0], o.raw()[1] - o.at()[1]])
 }
 
 /// Affine warp of the surroundings of a landmark, taken to face the old camera, into the new one.

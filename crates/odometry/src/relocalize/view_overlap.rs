@@ -37,7 +37,7 @@ pub(crate) fn view_overlap(state: &SfmState, frame: usize, other: usize) -> View
         sampled += 1;
         let at = landmark.image_position(&state.camera, &pose);
         let inside = at.filter(|at| state.camera.contains(at[0], at[1], 0.0));
-        motions.extend(inside.map(|at| (at[0] - seen.at[0]).hypot(at[1] - seen.at[1])));
+        motions.extend(inside.map(|at| (at[0] - seen.at()[0]).hypot(at[1] - seen.at()[1])));
     }
     let visible = motions.len();
     ViewOverlap { sampled, visible, motion: median(&mut motions).unwrap_or(f64::INFINITY) }

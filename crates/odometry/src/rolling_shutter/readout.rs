@@ -153,20 +153,20 @@ pub(crate) fn correct_observations_in(
         (state.camera, state.distortion, Arc::clone(&state.by_frame));
     for track in &by_frame[frame] {
         let Some(o) = state.tracks.tracks[*track].observation_in_mut(frame) else { continue };
-        let flat = undistort(&camera, distortion, o.raw);
+        let flat = undistort(&camera, distortion, o.raw());
         if readout == 0.0 {
-            o.at = flat;
+            *o = o.moved_to(flat);
             continue;
         }
         let Some((pose, velocity)) = moving else { continue };
         let far = || Landmark::on_ray(&camera, pose, flat, 0.0);
         let landmark = state.landmarks[*track].unwrap_or_else(far);
-        let late = readout * (o.raw[1] / camera.height as f64 - 0.5);
+        let late = readout * (o.raw()[1] / camera.height as f64 - 0.5);
         let then = pose.retract(velocity.scaled(late));
         let positions =
             (landmark.image_position(&camera, &pose), landmark.image_position(&camera, &then));
         if let (Some(now), Some(then)) = positions {
-            o.at = std::array::from_fn(|i| flat[i] - (then[i] - now[i]));
+            *o = o.moved_to(std::array::from_fn(|i| flat[i] - (then[i] - now[i])));
         }
     }
 }
@@ -291,12 +291,12 @@ mod tests {
         global.poses[35] = Some(path(35.0));
         for about in [0.0, 0.4] {
             let observations = global.tracks.tracks.iter_mut().flat_map(|t| &mut t.observations);
-            observations.for_each(|o| o.at[0] = o.raw[0] + about);
+            observations.for_each(|o| *o = o.moved_to([o.raw()[0] + about, o.at()[1]]));
             global.readout = about;
             estimate_rolling_shutter(&mut global, &timestamps, false);
             assert_eq!(global.readout, 0.0);
             let observations = global.tracks.tracks.iter().flat_map(|t| &t.observations);
-            assert!(observations.clone().all(|o| o.at == o.raw));
+            assert!(observations.clone().all(|o| o.at() == o.raw()));
         }
     }
 }

@@ -46,9 +46,9 @@ pub(crate) fn initialize_readout(
         return 0.0;
     }
     for o in tracks.tracks.iter_mut().flat_map(|t| &mut t.observations) {
-        let ray = row_corrected_ray(camera, &rates, o.frame, o.raw, best);
+        let ray = row_corrected_ray(camera, &rates, o.frame, o.raw(), best);
         let (u, v) = camera.project(ray);
-        o.at = [u, v];
+        *o = o.moved_to([u, v]);
     }
     best
 }

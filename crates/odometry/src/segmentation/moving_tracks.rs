@@ -30,7 +30,7 @@ pub(crate) fn leave_out_moving_objects(state: &mut SfmState) -> bool {
         (0..state.tracks.frames).filter(|frame| !state.by_frame[*frame].is_empty()).collect();
     let is_moving = smoothed(state, &deviating_tracks(state, &observed));
     let share = |frame: usize| {
-        let points = state.observations_in(frame).map(|(track, o)| (o.raw, is_moving[track]));
+        let points = state.observations_in(frame).map(|(track, o)| (o.raw(), is_moving[track]));
         (frame, moving_share(&state.camera, points))
     };
     let parts = persistent_parts(&observed.into_iter().map(share).collect::<Vec<_>>());
@@ -89,7 +89,8 @@ fn deviating_tracks(state: &SfmState, observed: &[usize]) -> Vec<Option<bool>> {
 /// Whether most points around a track, over all of its frames, are among those that deviate.
 fn smoothed(state: &SfmState, deviates: &[Option<bool>]) -> Vec<bool> {
     let in_frame = |frame: usize| -> Vec<(usize, i32)> {
-        let decided = state.observations_in(frame).filter_map(|(t, o)| Some((o.raw, deviates[t]?)));
+        let decided =
+            state.observations_in(frame).filter_map(|(t, o)| Some((o.raw(), deviates[t]?)));
         let decided: Vec<([f64; 2], bool)> = decided.collect();
         let sum = |at: [f64; 2]| {
             let mut near: Vec<(f64, bool)> =
@@ -100,7 +101,7 @@ fn smoothed(state: &SfmState, deviates: &[Option<bool>]) -> Vec<bool> {
             }
             near[..count].iter().map(|(_, d)| if *d { 1 } else { -1 }).sum()
         };
-        state.observations_in(frame).map(|(track, o)| (track, sum(o.raw))).collect()
+        state.observations_in(frame).map(|(track, o)| (track, sum(o.raw()))).collect()
     };
     let sums: Vec<Vec<(usize, i32)>> =
         (0..state.tracks.frames).into_par_iter().map(in_frame).collect();
@@ -131,15 +132,16 @@ fn drop_depth(state: &mut SfmState, is_left_out: &[bool]) {
         let place = |at: f64, side: f64, count: usize| {
             ((at / side * count as f64).max(0.0) as usize).min(count - 1)
         };
-        let (column, row) = (place(o.raw[0], width, BLOCKS[0]), place(o.raw[1], height, BLOCKS[1]));
-        o.depth = o.depth.filter(|_| !blocks.at(0, column, row));
+        let (column, row) =
+            (place(o.raw()[0], width, BLOCKS[0]), place(o.raw()[1], height, BLOCKS[1]));
+        *o = o.with_depth(o.depth().filter(|_| !blocks.at(0, column, row)));
     }
 }
 
 /// Blocks of a picture whose nearest point is of an object, and those beside them.
 fn moving_blocks(state: &SfmState, frame: usize, is_left_out: &[bool]) -> Image<bool> {
     let points: Vec<([f64; 2], bool)> =
-        state.observations_in(frame).map(|(track, o)| (o.raw, is_left_out[track])).collect();
+        state.observations_in(frame).map(|(track, o)| (o.raw(), is_left_out[track])).collect();
     let camera = &state.camera;
     let nearest = |column: usize, row: usize| {
         let at = [
@@ -196,19 +198,17 @@ mod tests {
         let observed = |point: Vec3<f64>, frame: usize, n: &[f64]| {
             let (u, v) = camera().project(point);
             let at = [u + 0.2 * n[0], v + 0.2 * n[1]];
-            camera().contains(at[0], at[1], 1.0).then_some(Observation {
-                depth: inverse(point),
-                ..Observation::new(frame, at, 0.3)
-            })
+            let o = Observation::new(frame, at, 0.3).with_depth(inverse(point));
+            camera().contains(at[0], at[1], 1.0).then_some(o)
         };
         let observe = |point: Vec3<f64>, frame: usize, n: &[f64]| {
-            observed(path(frame).inverse() * point, frame, n).map(|o| o.at)
+            observed(path(frame).inverse() * point, frame, n).map(|o| o.at())
         };
         let mut state = fixtures::state((FRAMES, 24, 4), [155.0, 115.0], path, observe);
         for (track, landmark) in state.tracks.tracks.iter_mut().zip(&state.landmarks) {
             for o in &mut track.observations {
                 let there = landmark.map(|known| path(o.frame).inverse() * known.position());
-                o.depth = there.and_then(inverse);
+                *o = o.with_depth(there.and_then(inverse));
             }
         }
         let room = state.tracks.tracks.len();

@@ -43,13 +43,14 @@ pub(crate) fn deviating_points(
 ) -> Vec<Option<bool>> {
     let swapped: Vec<SharedPoint<'_>> = shared.iter().map(|(a, b)| (*b, *a)).collect();
     let measured = |points: &[SharedPoint<'_>]| -> Vec<usize> {
-        (0..points.len()).filter(|i| points[*i].0.depth.is_some()).collect()
+        (0..points.len()).filter(|i| points[*i].0.depth().is_some()).collect()
     };
     let (forward, backward) = (measured(shared), measured(&swapped));
     let (points, places) =
         if backward.len() > forward.len() { (&swapped[..], backward) } else { (shared, forward) };
     let area = |places: &mut dyn Iterator<Item = usize>| {
-        AreaWeights::new(camera, &places.map(|i| shared[i].1.at).collect::<Vec<_>>()).area() as f64
+        AreaWeights::new(camera, &places.map(|i| shared[i].1.at()).collect::<Vec<_>>()).area()
+            as f64
     };
     let all = area(&mut (0..shared.len()));
     let is_rigid =
@@ -75,7 +76,7 @@ type Errors = (Vec<f64>, f64);
 /// first picture.
 fn rigid_errors(camera: &Camera<f64>, shared: &[SharedPoint<'_>]) -> Option<Errors> {
     let landmark = |(first, _): &SharedPoint<'_>| {
-        Some(Landmark::on_ray(camera, Pose::identity(), first.at, first.depth?.inverse))
+        Some(Landmark::on_ray(camera, Pose::identity(), first.at(), first.depth()?.inverse))
     };
     let landmarks: Vec<Landmark> = shared.iter().map(landmark).collect::<Option<_>>()?;
     let matches: Vec<Match<'_>> =
@@ -90,7 +91,7 @@ fn rigid_errors(camera: &Camera<f64>, shared: &[SharedPoint<'_>]) -> Option<Erro
     let refine = |pose: Pose<f64>, width: f64| Some(refine_pnp(camera, pose, &matches, width));
     // The median length of a two-dimensional normal error.
     let usual = (2.0 * std::f64::consts::LN_2).sqrt();
-    let positions: Vec<[f64; 2]> = shared.iter().map(|(_, second)| second.at).collect();
+    let positions: Vec<[f64; 2]> = shared.iter().map(|(_, second)| second.at()).collect();
     let weights = AreaWeights::new(camera, &positions);
     let best = weights.least_median(RIGID_HYPOTHESES, |sample, _| fit(sample), errors)?;
     Some(refined_errors(&weights, best, (usual, MIN_RIGID_DEVIATION), errors, refine))
@@ -101,10 +102,11 @@ fn epipolar_errors(camera: &Camera<f64>, shared: &[SharedPoint<'_>]) -> Option<E
     if shared.len() < MIN_SHARED {
         return None;
     }
-    let positions: Vec<_> = shared.iter().map(|(first, second)| (first.at, second.at)).collect();
+    let positions: Vec<_> =
+        shared.iter().map(|(first, second)| (first.at(), second.at())).collect();
     let rays = ray_pairs(camera, &positions);
     let (rotation, _) = fit_rotation(camera.fx, &rays)?;
-    let sigmas: Vec<f64> = shared.iter().map(|(a, b)| a.sigma.max(b.sigma)).collect();
+    let sigmas: Vec<f64> = shared.iter().map(|(a, b)| a.sigma().max(b.sigma())).collect();
     let errors = |pose: &Pose<f64>| -> Vec<f64> {
         let error = |(pair, sigma): (&RayPair, &f64)| sampson(pose, pair).abs() * camera.fx / sigma;
         rays.iter().zip(&sigmas).map(error).collect()

@@ -56,10 +56,10 @@ impl SfmState {
     /// Derivatives by distortion, or by the readout: the present correction per frame interval.
     fn camera_jacobian(&self, free_intrinsics: FreeIntrinsics, o: &Observation) -> CameraJacobian {
         if free_intrinsics != FreeIntrinsics::FocalLengthAndReadout {
-            return distortion_jacobian(&self.camera, o.raw);
+            return distortion_jacobian(&self.camera, o.raw());
         }
-        let flat = undistort(&self.camera, self.distortion, o.raw);
-        [std::array::from_fn(|i| (o.at[i] - flat[i]) / self.readout), [0.0; 2]]
+        let flat = undistort(&self.camera, self.distortion, o.raw());
+        [std::array::from_fn(|i| (o.at()[i] - flat[i]) / self.readout), [0.0; 2]]
     }
 
     /// Tracks observed in any of some frames, in order.
@@ -100,8 +100,8 @@ impl SfmState {
             let pose = place[o.frame]?;
             // Deviations of positions are those of the tracker, which residuals exceed.
             let scaled = |d: DepthReading| DepthReading { sigma: d.sigma / self.noise_scale, ..d };
-            let depth = o.depth.map(scaled);
-            Some(BundleObservation { pose, at: o.at, sigma: o.sigma, camera_jacobian, depth })
+            let depth = o.depth().map(scaled);
+            Some(BundleObservation { pose, at: o.at(), sigma: o.sigma(), camera_jacobian, depth })
         };
         let observations =
             tracks.iter().map(|t| inliers(t).filter_map(observation).collect()).collect();

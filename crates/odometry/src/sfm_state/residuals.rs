@@ -36,7 +36,7 @@ impl SfmState {
                 observation.is_outlier = off > worst;
                 left += usize::from(!observation.is_outlier);
             }
-            let has_depth = track.observations.iter().any(|o| !o.is_outlier && o.depth.is_some());
+            let has_depth = track.observations.iter().any(|o| !o.is_outlier && o.depth().is_some());
             // Slightly negative inverse depths are far points with noise.
             if left < 2 - usize::from(has_depth) || known.inverse_depth() < -0.02 {
                 *landmark = None;

@@ -25,7 +25,7 @@ impl SfmState {
         }
         let known = self.landmarks.iter().zip(&self.tracks.tracks).filter(|(l, _)| l.is_some());
         let is_reading =
-            |o: &Observation| !o.is_outlier && o.depth.is_some() && self.poses[o.frame].is_some();
+            |o: &Observation| !o.is_outlier && o.depth().is_some() && self.poses[o.frame].is_some();
         known.fold([0; 2], |[measured, all], (_, track)| {
             [measured + usize::from(track.observations.iter().any(is_reading)), all + 1]
         })

@@ -3,21 +3,19 @@
 use crate::track::thumbnail::KeyframeImage;
 use std::sync::Arc;
 
-/// Observation of a point in one frame.
+/// Observation of a point in one frame. Long recordings have millions, so that they are packed:
+/// positions as they were measured and corrections in single precision, their sum in double.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Observation {
     /// Index of the frame.
     pub(crate) frame: usize,
-    /// Image position as measured [px].
-    pub(crate) raw: [f64; 2],
-    /// Position corrected for lens distortion and rolling shutter [px].
-    pub(crate) at: [f64; 2],
-    /// Standard deviation [px].
-    pub(crate) sigma: f64,
+    raw: [f32; 2],
+    correction: [f32; 2],
+    sigma: f32,
+    /// Inverse depth and its deviation; zero where none was measured.
+    depth: [f32; 2],
     /// Not explained by the point's landmark.
     pub(crate) is_outlier: bool,
-    /// Inverse depth measured by a sensor.
-    pub(crate) depth: Option<DepthReading>,
 }
 
 /// An inverse depth measured by a sensor.
@@ -30,8 +28,50 @@ pub(crate) struct DepthReading {
 }
 
 impl Observation {
+    /// Position and its standard deviation [px].
     pub(crate) fn new(frame: usize, at: [f64; 2], sigma: f64) -> Self {
-        Self { frame, raw: at, at, sigma, is_outlier: false, depth: None }
+        let (raw, sigma) = (at.map(|v| v as f32), sigma as f32);
+        let new =
+            Self { frame, raw, correction: [0.0; 2], sigma, depth: [0.0; 2], is_outlier: false };
+        new.moved_to(at)
+    }
+
+    /// Image position as measured [px].
+    pub(crate) fn raw(&self) -> [f64; 2] {
+        self.raw.map(f64::from)
+    }
+
+    /// Position corrected for lens distortion and rolling shutter [px].
+    pub(crate) fn at(&self) -> [f64; 2] {
+        std::array::from_fn(|i| f64::from(self.raw[i]) + f64::from(self.correction[i]))
+    }
+
+    /// Standard deviation [px].
+    pub(crate) fn sigma(&self) -> f64 {
+        f64::from(self.sigma)
+    }
+
+    /// Inverse depth measured by a sensor.
+    pub(crate) fn depth(&self) -> Option<DepthReading> {
+        let [inverse, sigma] = self.depth.map(f64::from);
+        (inverse != 0.0).then_some(DepthReading { inverse, sigma })
+    }
+
+    /// The observation with another corrected position.
+    pub(crate) fn moved_to(self, at: [f64; 2]) -> Self {
+        let raw = self.raw();
+        Self { correction: std::array::from_fn(|i| (at[i] - raw[i]) as f32), ..self }
+    }
+
+    /// The observation with another standard deviation [px].
+    pub(crate) fn with_sigma(self, sigma: f64) -> Self {
+        Self { sigma: sigma as f32, ..self }
+    }
+
+    /// The observation with a measured depth, or without.
+    pub(crate) fn with_depth(self, depth: Option<DepthReading>) -> Self {
+        let packed = depth.map(|d| [d.inverse as f32, d.sigma as f32]);
+        Self { depth: packed.unwrap_or_default(), ..self }
     }
 }
 
@@ -89,7 +129,7 @@ impl Tracks {
     /// The tracks as they were measured: without corrections, outliers and depth.
     pub(crate) fn without_corrections(mut self) -> Self {
         for o in self.tracks.iter_mut().flat_map(|track| &mut track.observations) {
-            *o = Observation::new(o.frame, o.raw, o.sigma);
+            *o = Observation::new(o.frame, o.raw(), o.sigma());
         }
         self
     }
@@ -152,7 +192,7 @@ pub(crate) fn shared_positions(
         let track = &tracks[*i];
         Some((track.observation_in(first)?, track.observation_in(second)?))
     };
-    by_frame[first].iter().filter_map(both).map(|(a, b)| (a.at, b.at)).collect()
+    by_frame[first].iter().filter_map(both).map(|(a, b)| (a.at(), b.at())).collect()
 }
 
 #[cfg(test)]

@@ -16,7 +16,7 @@ impl Tracker {
             |a: [f32; 2], b: [f32; 2]| (a[0] - b[0]).abs() < near && (a[1] - b[1]).abs() < near;
         let mut resumed: Vec<TrackedPoint> = Vec::new();
         for (track, o) in found {
-            let at = o.raw.map(|v| v as f32);
+            let at = o.raw().map(|v| v as f32);
             let is_older = |p: &&TrackedPoint| p.track < self.first_new_track;
             let is_taken =
                 self.points.iter().filter(is_older).chain(&resumed).any(|p| {
@@ -71,7 +71,7 @@ mod tests {
         let frame = tracker.frames - 1;
         let seen = |track: usize| {
             let o = first[track].observations[0];
-            (track, Observation::new(frame, o.raw, o.sigma))
+            (track, Observation::new(frame, o.raw(), o.sigma()))
         };
         let found: Vec<(usize, Observation)> = (0..first.len()).map(seen).collect();
         tracker.resume(&found);
@@ -79,8 +79,8 @@ mod tests {
         assert!(tracker.points.len() <= most, "{}", tracker.points.len());
         let next = tracker.track(&room(0.5)).observed;
         let goes_on = |(track, o): &&(usize, Observation)| {
-            let was = first.get(*track).map(|track| track.observations[0].raw[0]);
-            was.is_some_and(|was| (o.raw[0] - was - 0.5).abs() < 0.2)
+            let was = first.get(*track).map(|track| track.observations[0].raw()[0]);
+            was.is_some_and(|was| (o.raw()[0] - was - 0.5).abs() < 0.2)
         };
         let resumed = next.iter().filter(goes_on).count();
         assert!(2 * resumed > first.len(), "{resumed} of {}", first.len());
