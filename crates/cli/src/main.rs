@@ -8,6 +8,7 @@ mod ground_truth;
 mod image_files;
 mod interrupt;
 mod messages;
+mod pose_lines;
 mod progress;
 mod reconstruction;
 

@@ -1,6 +1,6 @@
 //! Sentences about a run on the terminal: its input, camera, duration and result.
 
-use crate::console::{counted, print, print_status};
+use crate::console::{counted, print_status};
 use i2slam::dataset::{Layout, Sequence};
 use i2slam::run::{CameraEstimate, RuntimeForecast, odometry_size};
 use i2slam_result::{Metrics, UnitOfLength};
@@ -138,6 +138,7 @@ fn rounded_duration(seconds: f64) -> String {
 
 /// Prints the summary of a run, its last line the path of the report.
 pub(super) fn print_summary(
+    print: fn(&str),
     metrics: &Metrics,
     map: &str,
     folder: &Path,

@@ -3,6 +3,8 @@
 use crate::console::print_status;
 use crate::interrupt;
 use crate::messages;
+use crate::pose_lines::PoseLines;
+use i2slam::geometry::StampedPose;
 use i2slam::run::{CameraEstimate, Observer, RuntimeForecast, Stage};
 use i2slam::{CancellationToken, FrameEstimate, Warning};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -24,6 +26,7 @@ const TICK: Duration = Duration::from_millis(200);
 pub(crate) struct Progress {
     display: Display,
     phase: Arc<Mutex<Phase>>,
+    poses: Option<Arc<PoseLines>>,
     /// Whether flags can make the run smaller, which long ones are advised of.
     is_adjustable: bool,
 }
@@ -92,7 +95,12 @@ impl Progress {
             Display::Lines(Lines { last, named: Arc::default() })
         };
         let phase = Arc::new(Mutex::new(Phase::new("frames", 0, total)));
-        Self { display, phase, is_adjustable: true }
+        Self { display, phase, poses: None, is_adjustable: true }
+    }
+
+    /// With a line for every pose as soon as it is known.
+    pub(crate) fn with_poses(self, poses: Option<Arc<PoseLines>>) -> Self {
+        Self { poses, ..self }
     }
 
     /// Without advice on flags, for commands that have none.
@@ -193,6 +201,10 @@ impl Observer for Progress {
             }
             Display::Lines(_) | Display::Quiet => {}
         }
+    }
+
+    fn pose(&self, pose: &StampedPose) {
+        self.poses.iter().for_each(|lines| lines.add(pose));
     }
 
     fn note(&self, line: &str) {

@@ -102,6 +102,11 @@ impl FrameEstimate {
         self.shutter.middle()
     }
 
+    /// World-from-camera at mid-exposure, with its time.
+    pub(crate) fn stamped_pose(&self) -> StampedPose {
+        StampedPose { timestamp: self.timestamp, world_from_camera: self.middle() }
+    }
+
     /// Whether the camera moved by more than 1 mm or 1 mrad between colour and depth picture.
     pub(crate) fn depth_is_apart(&self) -> bool {
         let lead = self.depth_offset;
@@ -183,10 +188,7 @@ pub struct Reconstruction {
 impl Reconstruction {
     /// The trajectory at mid-exposure.
     pub fn trajectory(&self) -> Vec<StampedPose> {
-        self.frames
-            .iter()
-            .map(|f| StampedPose { timestamp: f.timestamp, world_from_camera: f.middle() })
-            .collect()
+        self.frames.iter().map(FrameEstimate::stamped_pose).collect()
     }
 
     /// Median exposure and white balance, and the response of the middle frame, if there are any.

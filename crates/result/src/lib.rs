@@ -22,3 +22,4 @@ pub use metrics::{Metrics, UnitOfLength};
 pub use pictures::{
     DEPTH_UNITS_PER_METRE, RenderKind, save_render, write_depth, write_picture, write_radiance,
 };
+pub use tables::{online_trajectory, trajectory_line};

@@ -46,13 +46,19 @@ pub(crate) fn trajectory(poses: &[StampedPose], unit: UnitOfLength) -> String {
     let mut text = format!("# world_from_camera at mid-exposure {}\n", unit_label(unit));
     text += "# timestamp tx ty tz qx qy qz qw\n";
     for pose in poses {
-        text += &pose_line(pose.timestamp, &[pose.world_from_camera], |v| format!("{v:.9}"));
+        text += &trajectory_line(pose);
     }
     text
 }
 
-/// `trajectory_online.txt`: mid-exposure poses as they were known when the frames came.
-pub(crate) fn online_trajectory(poses: &[StampedPose], unit: UnitOfLength) -> String {
+/// A line of `trajectory.txt`: `timestamp tx ty tz qx qy qz qw`, `world_from_camera`.
+pub fn trajectory_line(pose: &StampedPose) -> String {
+    pose_line(pose.timestamp, &[pose.world_from_camera], |v| format!("{v:.9}"))
+}
+
+/// `trajectory_online.txt`: mid-exposure poses as they were known when the frames came. Without poses
+/// the lines before the first one.
+pub fn online_trajectory(poses: &[StampedPose], unit: UnitOfLength) -> String {
     let poses = trajectory(poses, unit);
     poses.replacen("at mid-exposure", "at mid-exposure, as known when the frame came", 1)
 }

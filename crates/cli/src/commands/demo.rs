@@ -37,6 +37,7 @@ pub(crate) fn demo(arguments: &Demo) -> Result<(), Failure> {
         renders: RenderSelection::All,
         overwrite: true,
         quiet: arguments.machine.quiet,
+        poses: None,
         title: Some("demo clip"),
     };
     job.check_output()?;

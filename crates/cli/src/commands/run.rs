@@ -3,13 +3,16 @@
 use crate::arguments::{Input, Machine};
 use crate::console::print_status;
 use crate::failure::Failure;
+use crate::pose_lines::PoseLines;
 use crate::reconstruction::{self, Job, RenderSelection};
 use clap::{Args, ValueEnum};
 use i2slam::config::{MapKind, line_of_key};
 use i2slam::dataset::{is_video, is_without_depth};
 use i2slam::keyframes::ImportDepth;
 use i2slam::{Config, PoseSource, RunOptions};
+use i2slam_result::UnitOfLength;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 #[derive(Args, Clone, Debug)]
 pub(crate) struct Run {
@@ -54,6 +57,10 @@ pub(crate) struct Run {
     /// Hold out every N-th frame: tracked, but never mapped, for `eval --protocol held-out`
     #[arg(long, value_name = "N")]
     pub(crate) hold_out: Option<usize>,
+    /// Write the pose of every frame as soon as it is known, a line in the TUM format, to a file, a
+    /// named pipe, or - for the standard output; trajectory.txt has the final ones
+    #[arg(long, value_name = "FILE")]
+    pub(crate) poses: Option<PathBuf>,
     /// Which frames to render under renders/ [default: all; none of a video on a hash grid, which is
     /// slow to render: `i2slam render` does it later]
     #[arg(long, value_enum, value_name = "WHICH")]
@@ -143,6 +150,7 @@ fn reconstruct(arguments: &Run) -> Result<(), Failure> {
     let options = RunOptions::new(config, poses);
     let open = arguments.input.open_options(options.open)?;
     let options = RunOptions { open, ..options }.with_camera_of_keyframes();
+    let poses = pose_lines(arguments, &options)?;
     reconstruction::run(&Job {
         dataset: arguments.dataset.clone(),
         out: arguments.out.clone(),
@@ -151,8 +159,24 @@ fn reconstruct(arguments: &Run) -> Result<(), Failure> {
         renders,
         overwrite: arguments.overwrite,
         quiet: arguments.machine.quiet,
+        poses,
         title: None,
     })
+}
+
+/// The receiver of poses, where one is asked for.
+fn pose_lines(arguments: &Run, options: &RunOptions) -> Result<Option<Arc<PoseLines>>, Failure> {
+    let Some(path) = &arguments.poses else { return Ok(None) };
+    let unit = match options.poses {
+        PoseSource::Files { .. } => {
+            return Err(Failure::Usage(
+                "--poses does not go with --keyframes, whose poses are known".to_owned(),
+            ));
+        }
+        PoseSource::FrontEnd { with_depth: false, .. } => UnitOfLength::Unknown,
+        PoseSource::FrontEnd { with_depth: true, .. } | PoseSource::Map => UnitOfLength::Metre,
+    };
+    Ok(Some(Arc::new(PoseLines::open(path, arguments.overwrite, unit)?)))
 }
 
 /// Settings of the preset, replaced by those of the file, then by flags.

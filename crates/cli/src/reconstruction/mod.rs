@@ -4,9 +4,10 @@ mod pictures;
 mod shortfall;
 mod write;
 
-use crate::console::print_status;
+use crate::console::{print, print_status};
 use crate::failure::Failure;
 use crate::ground_truth::GroundTruth;
+use crate::pose_lines::PoseLines;
 use crate::progress::Progress;
 use crate::{interrupt, messages};
 use i2slam::dataset::{RecordedSequence, Sequence, is_stream, is_video};
@@ -17,6 +18,7 @@ use i2slam_storage::{Claim, OutputFolder};
 pub(crate) use pictures::RenderSelection;
 use shortfall::with_shortfall;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use write::{FinishedRun, WrittenRun};
 
 /// Arguments of a run.
@@ -31,6 +33,8 @@ pub(crate) struct Job<'a> {
     /// Whether an earlier result in `out` may be replaced.
     pub(crate) overwrite: bool,
     pub(crate) quiet: bool,
+    /// Receiver of poses while frames come.
+    pub(crate) poses: Option<Arc<PoseLines>>,
     /// Title of the report [default: name of the sequence].
     pub(crate) title: Option<&'static str>,
 }
@@ -93,7 +97,7 @@ fn reconstruct_into(
     tracked: Option<TrackedStream>,
 ) -> Result<(), Failure> {
     let truth = GroundTruth::open(dataset, sequence);
-    let mut progress = Progress::new(sequence.len(), job.quiet);
+    let mut progress = Progress::new(sequence.len(), job.quiet).with_poses(job.poses.clone());
     if job.title.is_some() {
         progress = progress.without_advice();
     }
@@ -132,7 +136,11 @@ fn reconstruct_into(
     let problems = if interrupted { problems } else { with_shortfall(&metrics, problems) };
     let ended = report_problems(&problems);
     let is_readout_estimated = job.options.config.input.optimise_rolling_shutter;
-    messages::print_summary(&metrics, &map, &folder, is_readout_estimated);
+    let print = match &job.poses {
+        Some(poses) if poses.is_standard_output() => print_status,
+        _ => print,
+    };
+    messages::print_summary(print, &metrics, &map, &folder, is_readout_estimated);
     ended
 }
 
@@ -168,7 +176,7 @@ fn track_stream(job: &Job<'_>) -> Result<(TrackedStream, RecordedSequence), Fail
     let end = CancellationToken::when(interrupt::requested);
     let live = job.options.open_stream(&job.dataset, end)?;
     job.options.validate(live.first()).map_err(|error| placed(error, job))?;
-    let progress = Progress::new(0, job.quiet);
+    let progress = Progress::new(0, job.quiet).with_poses(job.poses.clone());
     let tracked = TrackedStream::track(&live, &job.options, &progress);
     progress.clear();
     Ok((tracked?, live.finish()?))

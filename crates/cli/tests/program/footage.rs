@@ -14,7 +14,7 @@ pub(crate) const FOCAL: f64 = 130.0;
 
 /// Writes `FILE.words` to standard error, or `FILE.rgb` to standard output where raw video is asked
 /// for, FILE being what stands behind `-i`. A stream holds the name of such a file, and is handed
-/// on as it is, and decoded from standard input at its end; `http://host/NAME` is the file NAME
+/// on as it is, and decoded from standard input once the line is there; `http://host/NAME` is the file NAME
 /// beside the script, and does not end where there is a `NAME.endless`.
 const SCRIPT: &str = r#"#!/bin/sh
 raw= nut=
@@ -27,7 +27,7 @@ while [ $# -gt 0 ]; do
   shift
 done
 if [ "$nut" ] && [ "$raw" ]; then
-  file=$(cat)
+  read -r file
   cat "$file.words" >&2
   exec cat "$file.rgb"
 fi

@@ -109,7 +109,7 @@ fn ctrl_c_while_frames_are_mapped_keeps_path_and_map() {
 fn walk(footage: &Footage) -> (PathBuf, PathBuf) {
     let video = footage.video("walk.mp4", &views(12, 0.06));
     let flow = footage.scratch.join("flow");
-    fs::write(&flow, video.to_str().expect("a name")).expect("room");
+    fs::write(&flow, format!("{}\n", video.to_str().expect("a name"))).expect("room");
     (video, flow)
 }
 
@@ -144,6 +144,47 @@ fn an_address_a_pipe_and_the_standard_input_are_as_good_as_a_file() {
     camera.join().expect("no panic").expect("somebody reads");
     assert_eq!(path(&footage, "pipe"), due);
     assert!(footage.is_tidy());
+}
+
+#[test]
+fn poses_are_written_while_frames_come() {
+    let footage = Footage::new("stream-poses");
+    let (video, flow) = walk(&footage);
+    let flags = [&FLAGS[..], &["--poses", "-"]].concat();
+    let due = Ran::of(&mut footage.quick("file", &video, &flags)).exits_with(0);
+    let poses = |text: &str| text.lines().filter(|line| !line.starts_with('#')).count();
+    assert!(due.out.starts_with("# world_from_camera") && poses(&due.out) > 4, "{}", due.out);
+    let eight_numbers = |line: &str| {
+        line.split(' ')
+            .filter_map(|number| number.parse().ok())
+            .filter(|v: &f64| v.is_finite())
+            .count()
+            == 8
+    };
+    assert!(due.out.lines().all(|line| line.starts_with('#') || eight_numbers(line)));
+    due.stderr_contains("report.html");
+    // Poses come before the stream has ended.
+    let file = footage.scratch.join("poses.txt");
+    fs::write(flow.with_extension("endless"), "").expect("room");
+    let flags = [&FLAGS[..], &["--poses", file.to_str().expect("a name")]].concat();
+    let live = |out: &str| footage.quick(out, Path::new("http://host/flow"), &flags);
+    let child = live("live").stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("starts");
+    let begun = Instant::now();
+    let written = || fs::read_to_string(&file).map_or(0, |text| poses(&text));
+    while written() < 4 && begun.elapsed() < Duration::from_secs(60) {
+        sleep(Duration::from_millis(20));
+    }
+    assert!(written() >= 4);
+    let sent = Command::new("kill").args(["-INT", &child.id().to_string()]).status();
+    assert!(sent.expect("kill").success());
+    Ran::from(child.wait_with_output().expect("an end")).exits_with(0);
+    let online = footage.scratch.join("live/trajectory_online.txt");
+    let read = |path: &Path| fs::read_to_string(path).expect("poses");
+    assert_eq!(read(&file).lines().count(), read(&online).lines().count());
+    // An earlier file is not lost.
+    Ran::of(&mut live("again")).exits_with(2).stderr_contains("the file exists");
+    let files = ["--rgb", "--keyframes", "poses.txt", "--poses", "-"];
+    footage.run(&video, &files).exits_with(2).stderr_contains("whose poses are known");
 }
 
 #[test]

@@ -282,6 +282,9 @@ impl Driver<'_, '_> {
         let (processed, of_file) = match item {
             Item::Frame(frame) => {
                 let processed = self.session.track(&frame).cloned();
+                if let Some(found) = processed.as_ref().ok().filter(|found| found.tracked) {
+                    self.context.observer.pose(&found.stamped_pose());
+                }
                 (
                     processed,
                     frame.warnings.iter().map(|w| Warning::of_frame(frame.index, w)).collect(),
