@@ -95,7 +95,10 @@ impl Ffmpeg {
     /// Starts transcoding a stream to standard output: lossless FFV1, every frame once.
     pub(super) fn record(&self, stream: &Path) -> Result<Child, DatasetError> {
         let allowed = Allowed::stream(stream);
-        let mut command = self.input_command("level+warning", (stream.as_os_str(), &[]), &allowed);
+        // Twenty frames would be read before the first one is handed on, to guess a frame rate.
+        let at_once = ["-fpsprobesize", "0"];
+        let source = (stream.as_os_str(), &at_once[..]);
+        let mut command = self.input_command("level+warning", source, &allowed);
         command.args(["-c:v", "ffv1", "-flush_packets", "1", "-f", "nut", "-"]);
         if stream.as_os_str() == "-" {
             command.stdin(Stdio::inherit());
