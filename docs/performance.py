@@ -192,6 +192,13 @@ def plot_size(rows):
     draw("size", [gaussians, pixels])
 
 
+def plot_long(rows):
+    memory = {"memory [GB]": [(row["frame"], row["memory_gb"]) for row in rows]}
+    time = {"processor s": [(row["frame"], row["s_per_frame"]) for row in rows]}
+    panels = [("memory while frames come", "GB", memory), ("time", "processor s a frame", time)]
+    draw("long", [Panel(title, "frames", unit, line) for title, unit, line in panels])
+
+
 def plot_stages(rows, machine):
     limits = machine[-1]
     peak, band = limits["gflop_per_s"], limits["read_gb_per_s"]
@@ -226,7 +233,7 @@ def main():
         page = put(page, name, markdown(rows))
     PAGE.write_text(page)
     every = {p.stem: columns(list(csv.reader(p.open()))) for p in KEPT.glob("*.csv")}
-    plots = {"quality": plot_quality, "size": plot_size}
+    plots = {"quality": plot_quality, "size": plot_size, "long": plot_long}
     for name, plot in plots.items():
         if every.get(name):
             plot(every[name])
