@@ -10,8 +10,9 @@ use crate::online::revisits::{Revisit, find_revisit};
 use crate::register::dense_constraints::{RECENT_KEYFRAMES, RecentKeyframes};
 use crate::register::initialization::initialize;
 use crate::register::registration::{
-    GLOBAL_ADJUSTMENT_GROWTH, MIN_FOCAL_FRAMES, adjust_globally, adjust_nearest, estimate_pose,
-    initial_poses, refine_pose, register_keyframes, register_remaining_frames,
+    GLOBAL_ADJUSTMENT_GROWTH, MAX_JOINTLY_ADJUSTED_FRAMES, MIN_FOCAL_FRAMES, adjust_globally,
+    adjust_nearest, estimate_pose, initial_poses, refine_pose, register_keyframes,
+    register_remaining_frames,
 };
 use crate::relocalize::relocalization::{FailedPairs, relocalize_any_of};
 use crate::rolling_shutter::readout::{
@@ -132,16 +133,21 @@ impl OnlineMap {
     }
 
     /// Follows old landmarks that the last frame, a keyframe with a pose, shows again; drops it as a
-    /// keyframe and returns true where an old one shows its view. By colour alone lengths drift, and
-    /// loops are closed at the end.
+    /// keyframe and returns true where an old one shows its view. By colour alone lengths drift: views
+    /// that overlap in part are joined at the end, when loops are closed, and keyframes dropped from
+    /// where on recordings are too long for all frames to be adjusted jointly.
     fn is_covered(&mut self, tracker: &mut Tracker, interval: f64) -> bool {
         let frame = self.state.poses.len() - 1;
         let state = &mut self.state;
-        if state.is_unscaled || state.depth_maps[frame].is_none() {
+        let is_left_to_the_end = match state.has_depth() {
+            true => state.is_unscaled || state.depth_maps[frame].is_none(),
+            false => frame < MAX_JOINTLY_ADJUSTED_FRAMES,
+        };
+        if is_left_to_the_end {
             return false;
         }
         let Revisit { observations, covered_by } = find_revisit(state);
-        if observations.is_empty() {
+        if observations.is_empty() || (!state.has_depth() && covered_by.is_none()) {
             return false;
         }
         tracker.resume(&observations);

@@ -30,7 +30,7 @@ pub(crate) const RECENT_KEYFRAMES: usize = 1;
 const OPEN_SHARE: f64 = 0.5;
 /// Frames from which on no more keyframes are added to those whose prepared pictures are kept at
 /// once, some 50 bytes per pixel each.
-const MAX_PART_FRAMES: usize = 24;
+const MAX_PART_FRAMES: usize = 12;
 
 /// A keyframe and a frame that is aligned to it.
 type Pair = (usize, usize);

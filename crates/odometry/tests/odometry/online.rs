@@ -162,6 +162,21 @@ fn a_camera_that_goes_forth_and_back_needs_no_more_keyframes() {
     assert!(last < 0.01, "{last}");
 }
 
+/// By colour alone keyframes are dropped from where on recordings are long.
+#[test]
+fn a_long_way_by_colour_alone_needs_no_more_keyframes_where_it_was_before() {
+    let turn = 2 * FRAMES - 2;
+    let place = |i: usize| if i % turn < FRAMES { i % turn } else { turn - i % turn };
+    let path: Vec<Pose<f64>> = (0..300 + 2 * turn).map(|i| moving(place(i))).collect();
+    let found = updates(&path, false, |_| false);
+    let keyframes =
+        |from: usize| found[from..from + turn].iter().filter(|update| update.is_keyframe).count();
+    let (before, last) = (keyframes(turn), keyframes(300 + turn));
+    assert!(4 * last <= before, "{before} {last}");
+    let error = online_error(&found, &path, false);
+    assert!(error < 0.02, "{error}");
+}
+
 #[test]
 fn pictures_in_a_file_change_no_byte_of_the_result() {
     let run = |scratch: Option<Arc<ScratchStore>>| {
