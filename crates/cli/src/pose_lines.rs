@@ -8,40 +8,51 @@ use std::fs::OpenOptions;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::thread;
+use std::time::Duration;
 
-/// Writer of a line for every pose, in the TUM format, as soon as it is known. Nobody who stops reading
-/// ends the run.
+/// Time that a reader gets for the last lines when the run has ended.
+const LAST_LINES: Duration = Duration::from_secs(2);
+
+/// Writer of a line for every pose, in the TUM format, as soon as it is known. Lines are written on a
+/// thread of their own: a reader that is slow, or stops, holds no frame up.
 pub(crate) struct PoseLines {
     path: PathBuf,
-    state: Mutex<State>,
-}
-
-struct State {
-    /// `None` once a line could not be written.
-    out: Option<Box<dyn Write + Send>>,
-    last: f64,
+    /// The first lines.
+    head: String,
+    /// Lines to be written, and the end of the thread that does; `None` before the first one.
+    writer: Mutex<Option<(Sender<String>, Receiver<()>)>>,
 }
 
 impl PoseLines {
-    /// Opens a file, or the standard output for `-`, where results then go to standard error. An
-    /// earlier file is replaced on demand alone; a named pipe waits for its reader.
-    pub(crate) fn open(path: &Path, overwrite: bool, unit: UnitOfLength) -> Result<Self, Failure> {
-        let out: Box<dyn Write + Send> = if path == Path::new("-") {
-            Box::new(io::stdout())
-        } else {
-            let name = path.display();
-            if path.is_file() && !overwrite {
-                return Err(Failure::Usage(format!(
-                    "--poses {name}: the file exists, choose another name or add --overwrite"
-                )));
+    /// Checks the name of a file; `-` is the standard output, where results then go to standard error.
+    /// It is opened with the first pose, so that a run that is refused leaves nothing. A file that
+    /// exists is refused, and so is one in the dataset or among the results.
+    pub(crate) fn new(
+        path: &Path,
+        folders: [&Path; 2],
+        unit: UnitOfLength,
+    ) -> Result<Self, Failure> {
+        let refused = |why: &str| Err(Failure::Usage(format!("--poses {}: {why}", path.display())));
+        let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty());
+        let place = parent.unwrap_or(Path::new(".")).canonicalize();
+        if path != Path::new("-") {
+            if path.is_file() {
+                return refused("the file exists, choose another name");
             }
-            let file = OpenOptions::new().write(true).create(true).truncate(true).open(path);
-            Box::new(file.map_err(|error| Failure::Failed(format!("--poses {name}: {error}")))?)
-        };
-        let state = Mutex::new(State { out: Some(out), last: f64::NEG_INFINITY });
-        let lines = Self { path: path.to_owned(), state };
-        lines.write(|out| out.write_all(online_trajectory(&[], unit).as_bytes()));
-        Ok(lines)
+            let Ok(place) = place else { return refused("there is no such folder") };
+            let is_within = |folder: &&Path| {
+                folder.canonicalize().is_ok_and(|folder| place.starts_with(folder))
+            };
+            if folders.iter().any(is_within) {
+                return refused(
+                    "it would be in the dataset or among the results, choose another folder",
+                );
+            }
+        }
+        let head = online_trajectory(&[], unit);
+        Ok(Self { path: path.to_owned(), head, writer: Mutex::default() })
     }
 
     /// Whether lines go to the standard output, which results then leave to them.
@@ -49,25 +60,52 @@ impl PoseLines {
         self.path == Path::new("-")
     }
 
-    /// Writes the pose of a frame. A stream whose time stamps had to be repaired is tracked twice: the
-    /// first pose of a frame counts.
+    /// Hands the pose of a frame to the writer.
     pub(crate) fn add(&self, pose: &StampedPose) {
-        if let Ok(mut state) = self.state.lock() {
-            if pose.timestamp <= state.last {
-                return;
-            }
-            state.last = pose.timestamp;
-        }
-        self.write(|out| out.write_all(trajectory_line(pose).as_bytes()));
+        let Ok(mut writer) = self.writer.lock() else { return };
+        let (lines, _) = writer.get_or_insert_with(|| self.start());
+        // Fails only if a line could not be written, which was told.
+        lines.send(trajectory_line(pose)).ok();
     }
 
-    fn write(&self, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) {
-        let Ok(mut state) = self.state.lock() else { return };
-        let Some(out) = &mut state.out else { return };
-        if let Err(error) = write(out).and_then(|()| out.flush()) {
-            state.out = None;
+    fn start(&self) -> (Sender<String>, Receiver<()>) {
+        let ((lines, given), (ended, end)) = (channel(), channel());
+        let (path, head) = (self.path.clone(), self.head.clone());
+        thread::spawn(move || {
+            if let Err(error) = write_lines(&path, &head, &given) {
+                let name = path.display();
+                print_status(&format!("warning: no more poses are written to {name}: {error}"));
+            }
+            ended.send(()).ok();
+        });
+        (lines, end)
+    }
+}
+
+impl Drop for PoseLines {
+    fn drop(&mut self) {
+        let Some((lines, end)) = self.writer.get_mut().ok().and_then(Option::take) else { return };
+        drop(lines);
+        if let Err(RecvTimeoutError::Timeout) = end.recv_timeout(LAST_LINES) {
             let name = self.path.display();
-            print_status(&format!("warning: no more poses are written to {name}: {error}"));
+            print_status(&format!("warning: nobody reads the last poses from {name}"));
         }
     }
+}
+
+/// Writes all lines, each at once. A named pipe waits for its reader.
+fn write_lines(path: &Path, head: &str, lines: &Receiver<String>) -> io::Result<()> {
+    let mut out: Box<dyn Write> = if path == Path::new("-") {
+        Box::new(io::stdout())
+    } else if path.exists() {
+        Box::new(OpenOptions::new().write(true).open(path)?)
+    } else {
+        Box::new(OpenOptions::new().write(true).create_new(true).open(path)?)
+    };
+    out.write_all(head.as_bytes())?;
+    for line in lines {
+        out.write_all(line.as_bytes())?;
+        out.flush()?;
+    }
+    out.flush()
 }

@@ -67,7 +67,8 @@ pub struct FrameUpdate {
     pub status: TrackingStatus,
     /// The picture shows another scene than the one before.
     pub is_cut: bool,
-    /// The picture became a keyframe. With depth none is made where an old one shows the same view.
+    /// The picture became a keyframe. None is made where an old one shows the same view; by colour
+    /// alone that counts in long recordings.
     pub is_keyframe: bool,
 }
 
@@ -181,6 +182,10 @@ impl FrontEnd {
             return Err(OdometryError::TooFewFrames { frames, needed: MIN_FRAMES });
         }
         let is_repeat = self.picture_checks.is_repeat.clone();
+        let own_pictures = is_repeat.iter().filter(|repeat| !**repeat).count();
+        if own_pictures < MIN_FRAMES && !self.map.state.has_depth() {
+            return Err(OdometryError::StillCamera { motion: 0.0 });
+        }
         let adjust_focal = !matches!(self.intrinsics, Intrinsics::Known(_));
         let Self { intrinsics, picture_checks, map, close_loops: closes_loops, scratch, .. } = self;
         let online_poses = map.poses;
@@ -237,8 +242,9 @@ fn register_depth_pictures(state: &mut SfmState, adjust_focal: bool) {
     }
 }
 
-/// The state that adjustment begins with: the map so far where there is one with depth, or else the
-/// tracks alone, without those of large moving objects; a map that holds some is bent by them.
+/// The state that adjustment begins with: the map so far where there is one with depth, or else its
+/// tracks alone, with the observations of places that were known again, without those of large moving
+/// objects; a map that holds some is bent by them.
 fn initial_state(online: SfmState, intrinsics: &Intrinsics) -> SfmState {
     let mut state = SfmState {
         timestamps: Arc::clone(&online.timestamps),

@@ -57,8 +57,9 @@ pub(crate) struct Run {
     /// Hold out every N-th frame: tracked, but never mapped, for `eval --protocol held-out`
     #[arg(long, value_name = "N")]
     pub(crate) hold_out: Option<usize>,
-    /// Write the pose of every frame as soon as it is known, a line in the TUM format, to a file, a
-    /// named pipe, or - for the standard output; trajectory.txt has the final ones
+    /// Write poses while frames come, a line in the TUM format for each frame that has one, to a new
+    /// file, a named pipe, or - for the standard output (results then go to standard error);
+    /// trajectory.txt has the final ones
     #[arg(long, value_name = "FILE")]
     pub(crate) poses: Option<PathBuf>,
     /// Which frames to render under renders/ [default: all; none of a video on a hash grid, which is
@@ -176,7 +177,8 @@ fn pose_lines(arguments: &Run, options: &RunOptions) -> Result<Option<Arc<PoseLi
         PoseSource::FrontEnd { with_depth: false, .. } => UnitOfLength::Unknown,
         PoseSource::FrontEnd { with_depth: true, .. } | PoseSource::Map => UnitOfLength::Metre,
     };
-    Ok(Some(Arc::new(PoseLines::open(path, arguments.overwrite, unit)?)))
+    let folders = [arguments.dataset.as_path(), arguments.out.as_path()];
+    Ok(Some(Arc::new(PoseLines::new(path, folders, unit)?)))
 }
 
 /// Settings of the preset, replaced by those of the file, then by flags.

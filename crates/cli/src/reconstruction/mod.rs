@@ -97,7 +97,9 @@ fn reconstruct_into(
     tracked: Option<TrackedStream>,
 ) -> Result<(), Failure> {
     let truth = GroundTruth::open(dataset, sequence);
-    let mut progress = Progress::new(sequence.len(), job.quiet).with_poses(job.poses.clone());
+    // Poses of a stream were written while it came.
+    let poses = job.poses.clone().filter(|_| tracked.is_none());
+    let mut progress = Progress::new(sequence.len(), job.quiet).with_poses(poses);
     if job.title.is_some() {
         progress = progress.without_advice();
     }

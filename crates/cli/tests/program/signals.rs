@@ -182,7 +182,15 @@ fn poses_are_written_while_frames_come() {
     let read = |path: &Path| fs::read_to_string(path).expect("poses");
     assert_eq!(read(&file).lines().count(), read(&online).lines().count());
     // An earlier file is not lost.
-    Ran::of(&mut live("again")).exits_with(2).stderr_contains("the file exists");
+    let kept = read(&file);
+    let again = [&flags[..], &["--overwrite"]].concat();
+    let mut again = footage.quick("live", Path::new("http://host/flow"), &again);
+    Ran::of(&mut again).exits_with(2).stderr_contains("the file exists");
+    assert_eq!(read(&file), kept);
+    let inside = footage.scratch.join("live/poses.txt");
+    let flags = [&FLAGS[..], &["--poses", inside.to_str().expect("a name")]].concat();
+    let mut inside = footage.quick("live", Path::new("http://host/flow"), &flags);
+    Ran::of(&mut inside).exits_with(2).stderr_contains("among the results");
     let files = ["--rgb", "--keyframes", "poses.txt", "--poses", "-"];
     footage.run(&video, &files).exits_with(2).stderr_contains("whose poses are known");
 }

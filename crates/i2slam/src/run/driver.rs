@@ -3,7 +3,7 @@
 use super::camera::CameraEstimate;
 use super::error::{RunError, catch_panic};
 use super::observer::RunContext;
-use super::{RunOptions, RunOutcome, Stage, shortfall};
+use super::{PoseSource, RunOptions, RunOutcome, Stage, shortfall};
 use crate::config::{Parameters, TrackingMethod};
 use crate::keyframes::{PictureError, PosedKeyframe};
 use crate::reconstruction::{FrameEstimate, Reconstruction};
@@ -156,6 +156,7 @@ pub(super) fn run<'a>(
         skipped,
         first_error,
         latest,
+        is_source_of_poses: options.poses == PoseSource::Map,
     };
     errors.iter().for_each(|error| driver.leave_out(error));
     let mut problem = catch_panic(|| driver.process_all(items)).err();
@@ -255,6 +256,8 @@ struct Driver<'a, 'b> {
     first_error: Option<String>,
     /// The last frame that was processed.
     latest: Option<FrameEstimate>,
+    /// True if no front end has given poses before.
+    is_source_of_poses: bool,
 }
 
 impl Driver<'_, '_> {
@@ -282,7 +285,8 @@ impl Driver<'_, '_> {
         let (processed, of_file) = match item {
             Item::Frame(frame) => {
                 let processed = self.session.track(&frame).cloned();
-                if let Some(found) = processed.as_ref().ok().filter(|found| found.tracked) {
+                let found = processed.as_ref().ok().filter(|found| found.tracked);
+                if let Some(found) = found.filter(|_| self.is_source_of_poses) {
                     self.context.observer.pose(&found.stamped_pose());
                 }
                 (

@@ -61,9 +61,10 @@ pub trait Observer: Send + Sync {
     /// `done` of `total` frames or keyframes are processed, the last one with this estimate.
     fn frame(&self, _estimate: &FrameEstimate, _done: usize, _total: usize) {}
 
-    /// The pose of a frame as visual odometry knows it when the frame has come, in the world of the
-    /// first keyframe. The unit of length is the metre where depth is measured, and arbitrary by colour
-    /// alone. Frames without a pose so far are left out.
+    /// The pose of a frame as it is known when the frame has come, in the world of the first keyframe:
+    /// by visual odometry, or by the map where that is the source of poses. The unit of length is the
+    /// metre where depth is measured, and arbitrary by colour alone. Frames without a pose so far are
+    /// left out.
     fn pose(&self, _pose: &StampedPose) {}
 
     /// A decision that users may want to know of.

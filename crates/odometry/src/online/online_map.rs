@@ -141,13 +141,13 @@ impl OnlineMap {
         let state = &mut self.state;
         let is_left_to_the_end = match state.has_depth() {
             true => state.is_unscaled || state.depth_maps[frame].is_none(),
-            false => frame < MAX_JOINTLY_ADJUSTED_FRAMES,
+            false => state.posed_frames().len() <= MAX_JOINTLY_ADJUSTED_FRAMES,
         };
         if is_left_to_the_end {
             return false;
         }
-        let Revisit { observations, covered_by } = find_revisit(state);
-        if observations.is_empty() || (!state.has_depth() && covered_by.is_none()) {
+        let Revisit { observations, covered_by } = find_revisit(state, !state.has_depth());
+        if observations.is_empty() {
             return false;
         }
         tracker.resume(&observations);

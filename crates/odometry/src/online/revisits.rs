@@ -23,8 +23,8 @@ pub(crate) struct Revisit {
 }
 
 /// Searches the last keyframe, which has a pose, for the landmarks of the old keyframes nearest to
-/// its view.
-pub(crate) fn find_revisit(state: &SfmState) -> Revisit {
+/// its view, or of those alone that cover it.
+pub(crate) fn find_revisit(state: &SfmState, covering_alone: bool) -> Revisit {
     let Some((image, older)) = state.tracks.keyframe_images.split_last() else {
         return Revisit::default();
     };
@@ -33,6 +33,7 @@ pub(crate) fn find_revisit(state: &SfmState) -> Revisit {
         .filter(|old| old.frame + MIN_REVISIT_AGE <= image.frame)
         .map(|old| (view_overlap(state, image.frame, old.frame), old))
         .filter(|(overlap, _)| overlap.visible >= MIN_VISIBLE_LANDMARKS)
+        .filter(|(overlap, _)| !covering_alone || covers(overlap, state.camera.width))
         .collect();
     near.sort_by(|a, b| a.0.motion.total_cmp(&b.0.motion));
     near.truncate(MAX_COMPARED_KEYFRAMES);

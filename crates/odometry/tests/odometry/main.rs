@@ -139,6 +139,9 @@ fn a_still_camera_is_recognised() {
     let still = |i: usize| picture(1, moving(0), gain(i));
     let failure = run(Intrinsics::Known(camera()), 12, still).expect_err("nothing moves");
     assert!(matches!(failure, OdometryError::StillCamera { motion } if motion < 0.5), "{failure}");
+    let frozen = run(Intrinsics::Known(camera()), 12, |_| picture(1, moving(0), 1.0));
+    let failure = frozen.expect_err("nothing moves");
+    assert!(matches!(failure, OdometryError::StillCamera { .. }), "{failure}");
 }
 
 #[test]
