@@ -55,7 +55,7 @@ impl PoseLines {
         Ok(Self { path: path.to_owned(), head, writer: Mutex::default() })
     }
 
-    /// Whether lines go to the standard output, which results then leave to them.
+    /// True for `-`: poses go to the standard output, and results to standard error.
     pub(crate) fn is_standard_output(&self) -> bool {
         self.path == Path::new("-")
     }
@@ -97,10 +97,10 @@ impl Drop for PoseLines {
 fn write_lines(path: &Path, head: &str, lines: &Receiver<String>) -> io::Result<()> {
     let mut out: Box<dyn Write> = if path == Path::new("-") {
         Box::new(io::stdout())
-    } else if path.exists() {
-        Box::new(OpenOptions::new().write(true).open(path)?)
     } else {
-        Box::new(OpenOptions::new().write(true).create_new(true).open(path)?)
+        // A file that somebody has made since the name was checked is not overwritten.
+        let is_pipe = path.exists() && !path.is_file();
+        Box::new(OpenOptions::new().write(true).create_new(!is_pipe).open(path)?)
     };
     out.write_all(head.as_bytes())?;
     for line in lines {

@@ -75,7 +75,7 @@ struct TrackedPicture {
     blur: [f32; 2],
 }
 
-/// What was tracked into one picture. Tracks are numbered as they begin.
+/// Tracking result of one picture. The index of a track is the number of tracks that began before it.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct TrackedFrame {
     /// The picture shows another scene than the one before.
