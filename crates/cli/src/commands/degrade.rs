@@ -34,7 +34,7 @@ pub(crate) struct Degrade {
     /// Depth that is not registered to colour: shifted to the right and down [px]
     #[arg(long, value_names = ["RIGHT", "DOWN"], num_args = 2, allow_negative_numbers = true)]
     pub(crate) depth_shift: Option<Vec<i32>>,
-    /// Depth pictures show the scene of so much earlier than their stamps say [ms], negative: later
+    /// Stamps of depth are so much later than the moments that it shows [ms], negative: earlier
     #[arg(long, value_name = "MS", default_value_t = 0.0, allow_negative_numbers = true)]
     pub(crate) depth_delay: f64,
     /// Factor on all depth

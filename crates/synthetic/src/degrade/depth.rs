@@ -16,7 +16,7 @@ const KERNEL_REACH: f64 = 3.0;
 /// Faults of depth, applied in the order of the fields.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DepthDegradation {
-    /// Time by which depth shows an earlier moment than its stamp says [s]; negative: a later one.
+    /// Time by which the stamps of depth are after the moment that it shows [s]; negative: before.
     pub delay: f64,
     /// Noise, steps and holes.
     pub noise: Option<KinectNoise>,
@@ -80,7 +80,7 @@ impl DepthDegradation {
         Ok(())
     }
 
-    /// A degraded copy of a depth picture that already shows the moment it is to show.
+    /// A degraded copy of a depth picture; its stamp gets the delay.
     pub(super) fn apply(&self, depth: &Image<f32>, seed: u64, frame: usize) -> Image<f32> {
         let mut out = match &self.noise {
             Some(noise) => noise.apply(depth, seed, frame),

@@ -1,7 +1,6 @@
 //! Controlled degradation of an existing sequence.
 
 mod colour;
-mod delay;
 mod depth;
 mod ground_truth;
 mod moving_object;
@@ -16,7 +15,6 @@ use crate::spec::NoiseSpec;
 use crate::write::{
     DEPTH_SCALE, output_folder, write_bytes, write_depth, write_list, write_picture,
 };
-use delay::DepthAtTime;
 use i2slam_dataset::{DepthPicture, OpenOptions, Sequence, camera_json};
 use i2slam_geometry::Image;
 use i2slam_storage::OutputFolder;
@@ -179,8 +177,6 @@ struct Degrader<'a> {
     what: &'a Degradation,
     /// The frames to be written.
     order: Vec<Shown>,
-    /// Depth of other moments, if depth is late.
-    depth_at_time: Option<DepthAtTime>,
     object: Option<MovingObject>,
 }
 
@@ -193,13 +189,10 @@ impl<'a> Degrader<'a> {
         let sequence = Sequence::open(dataset, &options)?;
         what.validate_on(&sequence)?;
         let order = order(what, sequence.len())?;
-        let delay = what.depth.delay;
-        let depth_at_time =
-            (delay != 0.0).then(|| DepthAtTime::new(&sequence, delay)).transpose()?;
         let object = what.moving_object;
         let object =
             object.map(|share| MovingObject::new(share, &sequence, what.seed)).transpose()?;
-        Ok(Self { dataset, sequence, what, order, depth_at_time, object })
+        Ok(Self { dataset, sequence, what, order, object })
     }
 
     fn write(
@@ -247,40 +240,34 @@ impl<'a> Degrader<'a> {
         let picture = self.what.degrade_colour(&colour, source);
         write_bytes(folder, &format!("rgb/{number:06}.png"), write_picture(&picture))?;
         let Some(own) = frame.depth else { return Ok(()) };
-        let depth = self.depth(&own, source)?;
-        write_bytes(folder, &format!("depth/{number:06}.png"), write_depth(&depth))
+        let depth = write_depth(&self.depth(&own, source));
+        write_bytes(folder, &format!("depth/{number:06}.png"), depth)
     }
 
     /// Degraded depth of frame `source`, of which `own` is the depth picture.
-    fn depth(&self, own: &DepthPicture, source: usize) -> Result<Image<f32>, SyntheticError> {
+    fn depth(&self, own: &DepthPicture, source: usize) -> Image<f32> {
         if self.what.covers(source) {
-            return Ok(Image::new(own.image.width, own.image.height, 1));
+            return Image::new(own.image.width, own.image.height, 1);
         }
-        let time = own.timestamp - self.what.depth.delay;
-        let mut depth = match &self.depth_at_time {
-            Some(all) => all.load(&self.sequence, time)?,
-            None => Arc::clone(&own.image),
-        };
-        if let Some(object) = &self.object {
-            depth = Arc::new(object.draw_depth(&depth, time));
-        }
-        Ok(self.what.depth.apply(&depth, self.what.seed, source))
+        let drawn = self.object.as_ref().map(|object| object.draw_depth(&own.image, own.timestamp));
+        let depth = drawn.as_ref().unwrap_or(&own.image);
+        self.what.depth.apply(depth, self.what.seed, source)
     }
 
     fn write_lists(&self, folder: &OutputFolder) -> Result<(), SyntheticError> {
-        let Self { sequence, order, .. } = self;
+        let Self { sequence, what, order, .. } = self;
         let entry = |frame: usize| &sequence.entries[frame];
         let colour = order.iter().enumerate().map(|(i, shown)| (i, entry(shown.stamp).timestamp));
         write_list(folder, "rgb", "colour images", colour)?;
         let depth = order.iter().enumerate().filter_map(|(i, shown)| {
             let (own, is_shown) = (entry(shown.stamp), entry(shown.picture).depth.is_some());
             let stamp = own.depth.as_ref().map_or(own.timestamp, |depth| depth.timestamp);
-            is_shown.then_some((i, stamp))
+            is_shown.then_some((i, stamp + what.depth.delay))
         });
         write_list(folder, "depth", "depth images, 5000 = 1 m", depth)?;
         let camera = camera_json(&sequence.camera, DEPTH_SCALE, sequence.frame_rate);
         folder.write_text("camera.json", &camera)?;
-        ground_truth::copy_ground_truth(self.dataset, folder, sequence, order, self.what)
+        ground_truth::copy_ground_truth(self.dataset, folder, sequence, order, what)
     }
 }
 
