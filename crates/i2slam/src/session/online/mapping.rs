@@ -11,7 +11,7 @@ use i2slam_dataset::Frame;
 use i2slam_geometry::Pose;
 use i2slam_odometry::{FrameUpdate, FrontEnd, Reconstruction};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
-use std::sync::MutexGuard;
+use std::sync::{Arc, Mutex, MutexGuard};
 
 /// Frames that wait for a map to start, at most: older ones have a pose in the end, and are not mapped.
 const MAX_WAITING: usize = 64;
@@ -107,15 +107,15 @@ impl Gauge {
 }
 
 impl OnlineMapping {
-    /// Maps with a session on keyframes with poses.
-    pub(super) fn new(mut session: Session, on_mapped: OnMapped) -> Self {
+    /// Maps with a session on keyframes with poses, in steps that wait while `tracking` is held.
+    pub(super) fn new(mut session: Session, tracking: Arc<Mutex<()>>, on_mapped: OnMapped) -> Self {
         session.keep_world();
         let (width, height) = (session.camera.width, session.camera.height);
         Self {
             size: (width, height),
             maps_between: session.config.map.kind == MapKind::Gaussian,
             mapping: session.config.mapping.clone(),
-            queue: MappingQueue::new(session, on_mapped),
+            queue: MappingQueue::new(session, tracking, on_mapped),
             waiting: VecDeque::new(),
             gauge: None,
             sent: BTreeMap::new(),

@@ -19,7 +19,7 @@ use i2slam_odometry::{
     DepthPicture, FrontEnd, Intrinsics, OdometryError, PictureError, TrackingStatus,
 };
 use std::collections::BTreeMap;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// SLAM on frames of a known camera while they come, with measured depth or without.
 ///
@@ -48,6 +48,8 @@ pub struct OnlineSession {
     /// Index of every frame that was accepted.
     indices: Vec<usize>,
     online: Vec<StampedPose>,
+    /// Held while a frame is tracked.
+    tracking: Arc<Mutex<()>>,
 }
 
 /// Answer to a frame.
@@ -83,12 +85,13 @@ impl OnlineSession {
         tracked: Camera<f64>,
         on_mapped: impl FnMut(&FrameEstimate) + Send + 'static,
     ) -> Self {
-        let scratch = Arc::clone(&session.state.scratch);
+        let (scratch, tracking) = (Arc::clone(&session.state.scratch), Arc::<Mutex<()>>::default());
         Self {
             front_end: FrontEnd::new(Intrinsics::Known(tracked)).with_scratch(scratch),
-            mapping: OnlineMapping::new(session, Box::new(on_mapped)),
+            mapping: OnlineMapping::new(session, Arc::clone(&tracking), Box::new(on_mapped)),
             indices: Vec::new(),
             online: Vec::new(),
+            tracking,
         }
     }
 
@@ -99,7 +102,7 @@ impl OnlineSession {
 
     /// Tracks a frame, and hands frames to the map as soon as those after them have come.
     ///
-    /// It never waits for the map: frames that wait to be mapped are kept within `memory`, others in
+    /// It never waits for the map, whose next step waits for it: frames that wait to be mapped are kept within `memory`, others in
     /// a file. `mapping.seconds_per_frame` lets a map keep up with a camera.
     ///
     /// # Errors
@@ -116,6 +119,7 @@ impl OnlineSession {
         tracked: &Frame,
         mapped: Frame,
     ) -> Result<OnlineUpdate, PictureError> {
+        let _tracking = self.tracking.lock().unwrap_or_else(PoisonError::into_inner);
         let (index, timestamp) = (tracked.index, tracked.timestamp);
         let depth = tracked
             .depth

@@ -5,6 +5,7 @@ use super::backlog::Backlog;
 use crate::keyframes::PosedKeyframe;
 use crate::keyframes::delivery::{depth, into_estimated, posed_view};
 use crate::reconstruction::FrameEstimate;
+use i2slam_compute::CancellationToken;
 use i2slam_geometry::{Image, Pose};
 use i2slam_odometry::{DenseDepthEstimator, DepthModel, Keyframe, KeyframePictures, MeasuredDepth};
 use std::collections::{BTreeMap, VecDeque};
@@ -84,7 +85,10 @@ pub(super) struct MappingQueue {
 }
 
 impl MappingQueue {
-    pub(super) fn new(session: Session, on_mapped: OnMapped) -> Self {
+    /// A queue for `session`, whose steps wait while `tracking` is held.
+    pub(super) fn new(mut session: Session, tracking: Arc<Mutex<()>>, on_mapped: OnMapped) -> Self {
+        let cancellation = &mut session.state.cancellation;
+        *cancellation = asked_after_tracking(cancellation.clone(), tracking);
         let dense = dense_estimator(&session);
         let jobs = Arc::new(Backlog::new(Arc::clone(&session.state.scratch)));
         let session = Arc::new(Mutex::new(session));
@@ -148,6 +152,18 @@ impl Drop for MappingQueue {
             let _ = thread.join();
         }
     }
+}
+
+/// A token that waits while a frame is tracked. It is asked between any two steps of the map, so that
+/// the pose of a frame has all threads at most a step after the frame has come.
+fn asked_after_tracking(
+    cancellation: CancellationToken,
+    tracking: Arc<Mutex<()>>,
+) -> CancellationToken {
+    CancellationToken::when(move || {
+        drop(tracking.lock().unwrap_or_else(PoisonError::into_inner));
+        cancellation.is_cancelled()
+    })
 }
 
 fn dense_estimator(session: &Session) -> DenseDepthEstimator {
@@ -280,5 +296,23 @@ impl Worker {
             job.posed.world_from_camera = *now;
         }
         self.session().correct(poses);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::time::Duration;
+
+    #[test]
+    fn steps_wait_while_a_frame_is_tracked() {
+        let tracking = Arc::<Mutex<()>>::default();
+        let token = asked_after_tracking(CancellationToken::default(), Arc::clone(&tracking));
+        let held = tracking.lock().expect("no panic");
+        let step = std::thread::spawn(move || token.is_cancelled());
+        std::thread::sleep(Duration::from_millis(50));
+        assert!(!step.is_finished());
+        drop(held);
+        assert!(!step.join().expect("no panic"));
     }
 }
