@@ -68,6 +68,17 @@ impl PoseLines {
         lines.send(trajectory_line(pose)).ok();
     }
 
+    /// Says so where no pose was written by the end of a run.
+    pub(crate) fn warn_if_none(&self) {
+        if self.writer.lock().is_ok_and(|writer| writer.is_none()) {
+            print_status(&format!(
+                "warning: no pose was known while frames came, so that {} was not written; \
+                 trajectory.txt of the result has those that were found in the end",
+                self.path.display()
+            ));
+        }
+    }
+
     fn start(&self) -> (Sender<String>, Receiver<()>) {
         let ((lines, given), (ended, end)) = (channel(), channel());
         let (path, head) = (self.path.clone(), self.head.clone());

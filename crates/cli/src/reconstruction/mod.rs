@@ -134,6 +134,7 @@ fn reconstruct_into(
     });
     progress.clear();
     let WrittenRun { metrics, map, folder, problems } = written?;
+    job.poses.iter().for_each(|poses| poses.warn_if_none());
     let interrupted = interrupt::requested();
     let problems = if interrupted { problems } else { with_shortfall(&metrics, problems) };
     let ended = report_problems(&problems);

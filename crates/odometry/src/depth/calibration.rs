@@ -26,8 +26,10 @@ use std::sync::Arc;
 /// First steps of the search: offset as a ratio of the picture's width, delay in frame intervals.
 const FIRST_SHIFT: f64 = 1.0 / 64.0;
 const FIRST_DELAY: f64 = 0.25;
-/// Steps to either side of the coarse search.
+/// First steps of offset to either side of the coarse search.
 const COARSE_STEPS: i32 = 3;
+/// Largest delay [s]: that of a slow driver.
+const MAX_DELAY: f64 = 0.1;
 /// Halvings of the steps in the fine search.
 const HALVINGS: usize = 7;
 /// Rounds of the search with landmarks of pictures and depth, and the ratio of their steps.
@@ -77,31 +79,29 @@ pub(crate) fn calibrate_depth(state: &mut SfmState) -> bool {
     if state.is_unscaled {
         return false;
     }
-    let found = displacements_by_pictures(state);
-    if found.is_empty() {
-        return false;
-    }
-    // Landmarks that the pictures determine badly are off together, which a displacement may fit:
-    // it must also suit landmarks that pictures and depth determine together.
+    let Some(found) = displacements_by_pictures(state) else { return false };
     let none = adjusted_keyframes(state, Some([0.0; 3]));
     let Some(usual) = usual_deviation(state, &predictions(&none, state), &[0.0; 3]) else {
         return false;
     };
-    let joint_cost = |adjusted: &SfmState, d: &Displacement| {
-        cost(state, &predictions(adjusted, state), d, SCALE_RATIO * usual)
+    // Landmarks that the pictures determine badly are off together, which a displacement may fit:
+    // it must also suit landmarks that pictures and depth determine together.
+    let joint = |d: &Displacement| {
+        let adjusted = adjusted_keyframes(state, Some(*d));
+        cost(state, &predictions(&adjusted, state), d, SCALE_RATIO * usual)
     };
-    let tried = found.into_iter().map(|d| (joint_cost(&adjusted_keyframes(state, Some(d)), &d), d));
+    let (mut least, mut chosen) = (joint(&[0.0; 3]), [0.0; 3]);
+    let by_all = delay_by_all(&joint, least, state);
+    let tried = found.into_iter().map(|d| (joint(&d), d)).chain(by_all);
     let is_both = |d: &Displacement| d[2] != 0.0 && d[..2] != [0.0; 2];
     let (both, alone): (Vec<_>, Vec<_>) = tried.partition(|(_, d)| is_both(d));
     // Where the camera turns evenly, a delay and an offset look alike: each has to pay for itself.
     let better = alone.into_iter().min_by(|a, b| a.0.total_cmp(&b.0));
-    let (mut least, mut chosen) = (joint_cost(&none, &[0.0; 3]), [0.0; 3]);
     for (now, displacement) in better.into_iter().chain(both) {
         if now < MAX_COST_RATIO * least {
             (least, chosen) = (now, displacement);
         }
     }
-    let joint = |d: &Displacement| joint_cost(&adjusted_keyframes(state, Some(*d)), d);
     let [right, down, delay] = refine_jointly(&joint, state, (least, chosen));
     let model = &mut state.depth_model;
     let changed = model.shift != [right, down] || model.delay != delay;
@@ -114,18 +114,45 @@ pub(crate) fn calibrate_depth(state: &mut SfmState) -> bool {
 }
 
 /// The delay alone, the offset alone, and both together that suit the landmarks of the pictures
-/// alone best; none of them with too few landmarks.
-fn displacements_by_pictures(state: &SfmState) -> Vec<Displacement> {
-    let Some(interval) = median_frame_interval(&state.timestamps) else { return Vec::new() };
+/// alone best, those of them that have a minimum; `None` with too few landmarks.
+fn displacements_by_pictures(state: &SfmState) -> Option<Vec<Displacement>> {
+    let interval = median_frame_interval(&state.timestamps)?;
     let predictions = predictions(&adjusted_keyframes(state, None), state);
     if predictions.len() < MIN_OBSERVATIONS {
-        return Vec::new();
+        return None;
     }
-    let Some(usual) = usual_deviation(state, &predictions, &[0.0; 3]) else { return Vec::new() };
+    let usual = usual_deviation(state, &predictions, &[0.0; 3])?;
     let cost = |d: &Displacement| cost(state, &predictions, d, SCALE_RATIO * usual);
     let (step, delay) = (FIRST_SHIFT * state.camera.width as f64, FIRST_DELAY * interval);
     let steps = [[0.0, 0.0, delay], [step, step, 0.0], [step, step, delay]];
-    steps.into_iter().filter_map(|steps| search(&cost, steps)).collect()
+    Some(steps.into_iter().filter_map(|steps| search(&cost, steps)).collect())
+}
+
+/// The delay at which landmarks that pictures and depth determine together agree with depth best, and
+/// its cost: found from none, whose cost is `least`, in steps to either side while the cost falls. Where
+/// pictures alone determine their landmarks badly, it is the only one that is found.
+fn delay_by_all(
+    cost: &impl Fn(&Displacement) -> f64,
+    least: f64,
+    state: &SfmState,
+) -> Option<(f64, Displacement)> {
+    let step = FIRST_DELAY * median_frame_interval(&state.timestamps)?;
+    let walk = |step: f64| {
+        let mut best = (least, [0.0; 3]);
+        loop {
+            let next = [0.0, 0.0, best.1[2] + step];
+            let found = cost(&next);
+            if found >= best.0 {
+                return Some(best);
+            }
+            if next[2].abs() > MAX_DELAY {
+                return None;
+            }
+            best = (found, next);
+        }
+    };
+    let walked = [-step, step].into_iter().filter_map(walk);
+    walked.min_by(|a, b| a.0.total_cmp(&b.0)).filter(|(_, d)| d[2] != 0.0)
 }
 
 /// The displacement of least cost: on a grid of offsets, then along each coordinate with steps
@@ -139,7 +166,9 @@ fn search(cost: &impl Fn(&Displacement) -> f64, mut steps: Displacement) -> Opti
     let tried = places.map(|place| (cost(&place), place));
     let (mut least, mut best) =
         tried.min_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((f64::INFINITY, [0.0; 3]));
-    let most = steps.map(|step| f64::from(COARSE_STEPS) * step);
+    let [right, down, later] = steps;
+    let farthest = f64::from(COARSE_STEPS);
+    let most = [farthest * right, farthest * down, if later > 0.0 { MAX_DELAY } else { 0.0 }];
     let free: Vec<usize> = (0..3).filter(|axis| steps[*axis] > 0.0).collect();
     for _ in 0..HALVINGS {
         let mut moves = true;
@@ -401,6 +430,21 @@ mod tests {
         }
     }
 
+    /// To either side, past steps of which each is lower; nothing where none is, or at the end.
+    #[test]
+    fn a_delay_is_walked_to_from_none() {
+        let mut state = SfmState::new(camera(), Tracks { frames: 3, ..Tracks::default() });
+        state.timestamps = Arc::new(vec![0.0, 1.0 / 30.0, 2.0 / 30.0]);
+        let found = |due: f64| {
+            let cost = |d: &Displacement| (d[2] - due).abs();
+            delay_by_all(&cost, cost(&[0.0; 3]), &state).map(|(_, d)| d[2])
+        };
+        for due in [-0.043, -0.02, 0.03, 0.09] {
+            assert!((found(due).expect("within the range") - due).abs() < 0.005, "{due}");
+        }
+        assert_eq!([found(0.001), found(0.2), found(-0.2)], [None; 3]);
+    }
+
     #[test]
     fn a_minimum_at_the_end_of_the_range_is_none() {
         let steps = [5.0, 5.0, 0.01];
@@ -413,6 +457,6 @@ mod tests {
         let off = [found[0] - 8.0, found[1] + 3.0, 1e3 * (found[2] - 0.012)];
         assert!(off.iter().all(|off| off.abs() < 0.1), "{found:?}");
         assert_eq!(search(&around([2.0, 40.0, 0.0]), steps), None);
-        assert_eq!(search(&around([0.0, 0.0, -0.05]), steps), None);
+        assert_eq!(search(&around([0.0, 0.0, -0.15]), steps), None);
     }
 }

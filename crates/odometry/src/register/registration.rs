@@ -21,6 +21,8 @@ pub(crate) const MIN_FOCAL_FRAMES: usize = 5;
 const NEIGHBOURHOOD: usize = 3;
 /// Frames up to which all are adjusted jointly every time.
 pub(crate) const MAX_JOINTLY_ADJUSTED_FRAMES: usize = 300;
+/// Frames up to which all are adjusted jointly at the end by colour alone.
+const MAX_JOINTLY_ADJUSTED_BY_COLOUR: usize = 1000;
 const LOCAL_STEPS: usize = 6;
 const GLOBAL_STEPS: usize = 20;
 
@@ -82,10 +84,12 @@ pub(crate) fn adjust_all_frames(state: &mut SfmState, adjust_focal: bool) {
     };
 }
 
-/// Adjusts all frames where [`adjust_path`] did not: jointly, or in a long sequence with depth, whose
-/// dense constraints tie frames to keyframes, in turn with the landmarks.
+/// Adjusts all frames where [`adjust_path`] did not: jointly, or in turn with the landmarks. The latter
+/// in long sequences with depth, whose dense constraints tie frames to keyframes, and in very long ones
+/// by colour alone, whose joint adjustment would take hours.
 pub(crate) fn adjust_remaining_frames(state: &mut SfmState, adjust_focal: bool) {
-    if state.is_metric() && is_long(state) {
+    let is_very_long = state.posed_frames().len() > MAX_JOINTLY_ADJUSTED_BY_COLOUR;
+    if is_very_long || (state.is_metric() && is_long(state)) {
         adjust_keyframes(state, adjust_focal);
         adjust_in_turn(state);
     } else if !adjusts_all(state) {
