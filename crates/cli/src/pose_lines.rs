@@ -72,9 +72,13 @@ impl PoseLines {
     pub(crate) fn warn_if_none(&self) {
         if self.writer.lock().is_ok_and(|writer| writer.is_none()) {
             print_status(&format!(
-                "warning: no pose was known while frames came, so that {} was not written; \
+                "warning: no pose was known while frames came, so that none was written to {}; \
                  trajectory.txt of the result has those that were found in the end",
-                self.path.display()
+                if self.is_standard_output() {
+                    "the standard output".into()
+                } else {
+                    self.path.display().to_string()
+                }
             ));
         }
     }

@@ -26,10 +26,12 @@ use std::sync::Arc;
 /// First steps of the search: offset as a ratio of the picture's width, delay in frame intervals.
 const FIRST_SHIFT: f64 = 1.0 / 64.0;
 const FIRST_DELAY: f64 = 0.25;
-/// First steps of offset to either side of the coarse search.
+/// Steps of offset to either side of the coarse search.
 const COARSE_STEPS: i32 = 3;
-/// Largest delay [s]: that of a slow driver.
+/// Largest delay [s], that of a slow driver; three quarters of a frame interval where that is longer.
 const MAX_DELAY: f64 = 0.1;
+/// First steps of delay within that range, at most.
+const MAX_DELAY_STEPS: f64 = 25.0;
 /// Halvings of the steps in the fine search.
 const HALVINGS: usize = 7;
 /// Rounds of the search with landmarks of pictures and depth, and the ratio of their steps.
@@ -79,18 +81,19 @@ pub(crate) fn calibrate_depth(state: &mut SfmState) -> bool {
     if state.is_unscaled {
         return false;
     }
-    let Some(found) = displacements_by_pictures(state) else { return false };
+    let found = displacements_by_pictures(state).unwrap_or_default();
     let none = adjusted_keyframes(state, Some([0.0; 3]));
-    let Some(usual) = usual_deviation(state, &predictions(&none, state), &[0.0; 3]) else {
-        return false;
-    };
+    let registered = predictions(&none, state);
+    let usual = usual_deviation(state, &registered, &[0.0; 3]);
+    let Some(usual) = usual.filter(|_| registered.len() >= MIN_OBSERVATIONS) else { return false };
     // Landmarks that the pictures determine badly are off together, which a displacement may fit:
     // it must also suit landmarks that pictures and depth determine together.
     let joint = |d: &Displacement| {
         let adjusted = adjusted_keyframes(state, Some(*d));
         cost(state, &predictions(&adjusted, state), d, SCALE_RATIO * usual)
     };
-    let (mut least, mut chosen) = (joint(&[0.0; 3]), [0.0; 3]);
+    let at_none = cost(state, &registered, &[0.0; 3], SCALE_RATIO * usual);
+    let (mut least, mut chosen) = (at_none, [0.0; 3]);
     let by_all = delay_by_all(&joint, least, state);
     let tried = found.into_iter().map(|d| (joint(&d), d)).chain(by_all);
     let is_both = |d: &Displacement| d[2] != 0.0 && d[..2] != [0.0; 2];
@@ -123,20 +126,27 @@ fn displacements_by_pictures(state: &SfmState) -> Option<Vec<Displacement>> {
     }
     let usual = usual_deviation(state, &predictions, &[0.0; 3])?;
     let cost = |d: &Displacement| cost(state, &predictions, d, SCALE_RATIO * usual);
-    let (step, delay) = (FIRST_SHIFT * state.camera.width as f64, FIRST_DELAY * interval);
+    let step = FIRST_SHIFT * state.camera.width as f64;
+    let [delay, longest] = delay_range(interval);
     let steps = [[0.0, 0.0, delay], [step, step, 0.0], [step, step, delay]];
-    Some(steps.into_iter().filter_map(|steps| search(&cost, steps)).collect())
+    Some(steps.into_iter().filter_map(|steps| search(&cost, steps, longest)).collect())
+}
+
+/// First step and largest size of a delay at a median frame interval [s].
+fn delay_range(interval: f64) -> [f64; 2] {
+    let longest = MAX_DELAY.max(f64::from(COARSE_STEPS) * FIRST_DELAY * interval);
+    [(FIRST_DELAY * interval).max(longest / MAX_DELAY_STEPS), longest]
 }
 
 /// The delay at which landmarks that pictures and depth determine together agree with depth best, and
-/// its cost: found from none, whose cost is `least`, in steps to either side while the cost falls. Where
-/// pictures alone determine their landmarks badly, it is the only one that is found.
+/// its cost: found from none, whose cost is `least`, in steps to either side while the cost falls; the
+/// only one that is found where pictures alone determine their landmarks badly.
 fn delay_by_all(
     cost: &impl Fn(&Displacement) -> f64,
     least: f64,
     state: &SfmState,
 ) -> Option<(f64, Displacement)> {
-    let step = FIRST_DELAY * median_frame_interval(&state.timestamps)?;
+    let [step, longest] = delay_range(median_frame_interval(&state.timestamps)?);
     let walk = |step: f64| {
         let mut best = (least, [0.0; 3]);
         loop {
@@ -145,7 +155,7 @@ fn delay_by_all(
             if found >= best.0 {
                 return Some(best);
             }
-            if next[2].abs() > MAX_DELAY {
+            if next[2].abs() > longest {
                 return None;
             }
             best = (found, next);
@@ -158,7 +168,11 @@ fn delay_by_all(
 /// The displacement of least cost: on a grid of offsets, then along each coordinate with steps
 /// that are halved; one with a step of zero stays. `None` at an end of the range: a cost that falls
 /// up to there has no minimum.
-fn search(cost: &impl Fn(&Displacement) -> f64, mut steps: Displacement) -> Option<Displacement> {
+fn search(
+    cost: &impl Fn(&Displacement) -> f64,
+    mut steps: Displacement,
+    longest: f64,
+) -> Option<Displacement> {
     let reach = if steps[0] > 0.0 { COARSE_STEPS } else { 0 };
     let offsets = -reach..=reach;
     let grid = offsets.clone().flat_map(|i| offsets.clone().map(move |j| (i, j)));
@@ -168,7 +182,7 @@ fn search(cost: &impl Fn(&Displacement) -> f64, mut steps: Displacement) -> Opti
         tried.min_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((f64::INFINITY, [0.0; 3]));
     let [right, down, later] = steps;
     let farthest = f64::from(COARSE_STEPS);
-    let most = [farthest * right, farthest * down, if later > 0.0 { MAX_DELAY } else { 0.0 }];
+    let most = [farthest * right, farthest * down, if later > 0.0 { longest } else { 0.0 }];
     let free: Vec<usize> = (0..3).filter(|axis| steps[*axis] > 0.0).collect();
     for _ in 0..HALVINGS {
         let mut moves = true;
@@ -453,10 +467,10 @@ mod tests {
                 (0..3).map(|i| ((d[i] - to[i]) / steps[i]).powi(2)).sum()
             }
         };
-        let found = search(&around([8.0, -3.0, 0.012]), steps).expect("within the range");
+        let found = search(&around([8.0, -3.0, 0.012]), steps, 0.1).expect("within the range");
         let off = [found[0] - 8.0, found[1] + 3.0, 1e3 * (found[2] - 0.012)];
         assert!(off.iter().all(|off| off.abs() < 0.1), "{found:?}");
-        assert_eq!(search(&around([2.0, 40.0, 0.0]), steps), None);
-        assert_eq!(search(&around([0.0, 0.0, -0.15]), steps), None);
+        assert_eq!(search(&around([2.0, 40.0, 0.0]), steps, 0.1), None);
+        assert_eq!(search(&around([0.0, 0.0, -0.15]), steps, 0.1), None);
     }
 }

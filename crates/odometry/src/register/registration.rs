@@ -4,7 +4,7 @@ use crate::depth::readings::update_depth_model;
 use crate::multiview::pnp::{PnpSolution, solve_pnp};
 use crate::progress::Stage;
 use crate::register::resection_intersection::adjust_in_turn;
-use crate::sfm_state::SfmState;
+use crate::sfm_state::{MAX_JOINT_POSES, SfmState};
 use i2slam_geometry::Pose;
 use rayon::prelude::*;
 
@@ -21,8 +21,6 @@ pub(crate) const MIN_FOCAL_FRAMES: usize = 5;
 const NEIGHBOURHOOD: usize = 3;
 /// Frames up to which all are adjusted jointly every time.
 pub(crate) const MAX_JOINTLY_ADJUSTED_FRAMES: usize = 300;
-/// Frames up to which all are adjusted jointly at the end by colour alone.
-const MAX_JOINTLY_ADJUSTED_BY_COLOUR: usize = 1000;
 const LOCAL_STEPS: usize = 6;
 const GLOBAL_STEPS: usize = 20;
 
@@ -86,9 +84,9 @@ pub(crate) fn adjust_all_frames(state: &mut SfmState, adjust_focal: bool) {
 
 /// Adjusts all frames where [`adjust_path`] did not: jointly, or in turn with the landmarks. The latter
 /// in long sequences with depth, whose dense constraints tie frames to keyframes, and in very long ones
-/// by colour alone, whose joint adjustment would take hours.
+/// by colour alone, where bends of the keyframes stay, but a joint adjustment takes over an hour.
 pub(crate) fn adjust_remaining_frames(state: &mut SfmState, adjust_focal: bool) {
-    let is_very_long = state.posed_frames().len() > MAX_JOINTLY_ADJUSTED_BY_COLOUR;
+    let is_very_long = state.posed_frames().len() > MAX_JOINT_POSES;
     if is_very_long || (state.is_metric() && is_long(state)) {
         adjust_keyframes(state, adjust_focal);
         adjust_in_turn(state);

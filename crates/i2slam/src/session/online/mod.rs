@@ -48,7 +48,7 @@ pub struct OnlineSession {
     /// Index of every frame that was accepted.
     indices: Vec<usize>,
     online: Vec<StampedPose>,
-    /// Held while a frame is tracked.
+    /// Held while a frame of a camera is tracked.
     tracking: Arc<Mutex<()>>,
 }
 
@@ -102,7 +102,8 @@ impl OnlineSession {
 
     /// Tracks a frame, and hands frames to the map as soon as those after them have come.
     ///
-    /// It never waits for the map, whose next step waits for it: frames that wait to be mapped are kept within `memory`, others in
+    /// It never waits for the map; the map waits for it, between two steps, and that time counts in
+    /// `mapping.seconds_per_frame`. Frames that wait to be mapped are kept within `memory`, others in
     /// a file. `mapping.seconds_per_frame` lets a map keep up with a camera.
     ///
     /// # Errors
@@ -110,6 +111,8 @@ impl OnlineSession {
     /// A frame that does not fit the camera, or whose time stamp does not follow: the session stays
     /// as it was.
     pub fn push(&mut self, frame: Frame) -> Result<OnlineUpdate, PictureError> {
+        let tracking = Arc::clone(&self.tracking);
+        let _held = tracking.lock().unwrap_or_else(PoisonError::into_inner);
         self.push_sizes(&frame.clone(), frame)
     }
 
@@ -119,7 +122,6 @@ impl OnlineSession {
         tracked: &Frame,
         mapped: Frame,
     ) -> Result<OnlineUpdate, PictureError> {
-        let _tracking = self.tracking.lock().unwrap_or_else(PoisonError::into_inner);
         let (index, timestamp) = (tracked.index, tracked.timestamp);
         let depth = tracked
             .depth

@@ -154,8 +154,9 @@ impl Drop for MappingQueue {
     }
 }
 
-/// A token that waits while a frame is tracked. It is asked between any two steps of the map, so that
-/// the pose of a frame has all threads at most a step after the frame has come.
+/// A token that waits while a frame is tracked. It is asked before every job and between two refining
+/// steps of the map, so that a frame has all threads soon after it has come. Whoever holds `tracking`,
+/// or is a thread that tracking needs, must not ask it.
 fn asked_after_tracking(
     cancellation: CancellationToken,
     tracking: Arc<Mutex<()>>,
@@ -198,6 +199,9 @@ impl Worker {
     /// Works until the last job was received.
     fn run(mut self, jobs: &Backlog) -> Vec<SessionError> {
         while let Some(job) = jobs.receive() {
+            let may_begin = self.session().state.cancellation.clone();
+            // Waits while a frame is tracked.
+            may_begin.is_cancelled();
             if self.is_dropped() {
                 return self.errors;
             }
