@@ -46,7 +46,8 @@ pub struct OpenOptions {
     /// usual one ([`Sequence::camera_is_guess`](crate::Sequence::camera_is_guess)), instead of
     /// failing. Default false.
     pub guess_camera: bool,
-    /// Depth image value of one metre. Precedes the camera file; 5000 if neither gives it.
+    /// Depth image value of one metre. Precedes the camera file; if neither gives it the layout's, else
+    /// 1000 for videos and 5000 for folders.
     pub depth_scale: Option<f64>,
     /// Range of frames, by index in the associated stream. Default all.
     #[serde(with = "range_as_pair")]
@@ -74,7 +75,8 @@ pub struct OpenOptions {
     /// Frames without time stamps are not thinned.
     pub minimum_gap: f64,
     /// Read colour only: sequences without depth can be opened, and
-    /// [`Frame::depth`](crate::Frame::depth) is `None`. Frame numbers do not depend on this option.
+    /// [`Frame::depth`](crate::Frame::depth) is `None`. Frame numbers do not depend on this option, but
+    /// for videos paired by [`Nearest`](DepthPairing::Nearest), whose depth is not looked at then.
     /// Default false.
     pub colour_only: bool,
     /// Apply the EXIF orientation of the first image to sequences of colour images alone. Default

@@ -1,6 +1,6 @@
 //! Association by time: colour with depth images, poses with images.
 
-use crate::DepthPairing;
+use crate::{DepthPairing, OpenOptions};
 use i2slam_geometry::nearest_stamp;
 
 /// Limits of the association of colour with depth.
@@ -11,6 +11,16 @@ pub(crate) struct AssociationRules {
     pub(crate) tolerance: f64,
     /// Frames must follow the last kept one by more than this [s].
     pub(crate) minimum_gap: f64,
+}
+
+impl AssociationRules {
+    pub(crate) fn of(options: &OpenOptions) -> Self {
+        Self {
+            pairing: options.depth_pairing,
+            tolerance: options.association_tolerance,
+            minimum_gap: options.minimum_gap,
+        }
+    }
 }
 
 /// The associated stream, and counts of what was dropped from it.

@@ -28,15 +28,15 @@ pub(crate) fn read_camera(
     path: &Path,
     defaults: FormatDefaults,
 ) -> Result<Calibration, DatasetError> {
+    // COLMAP's cameras say nothing of depth.
+    let of_colmap = || Ok(Calibration { format: defaults, ..colmap::read_camera(path)? });
     if path.extension().is_some_and(|ending| ending == "bin") {
-        return colmap::read_camera(path);
+        return of_colmap();
     }
     let text = read_text(path)?;
     if !text.trim_start().starts_with('{') {
         return match data_lines(&text).next().and_then(|(_, line)| line.split(' ').nth(1)) {
-            Some(model) if model.starts_with(|c: char| c.is_ascii_uppercase()) => {
-                colmap::read_camera(path)
-            }
+            Some(model) if model.starts_with(|c: char| c.is_ascii_uppercase()) => of_colmap(),
             _ => parse_line(path, &text, defaults),
         };
     }

@@ -29,8 +29,10 @@ pub struct FrameEntry {
 /// File and time stamp of a depth image.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DepthEntry {
-    /// Depth image file.
+    /// Depth image file, or the video.
     pub path: PathBuf,
+    /// Index among the depth pictures of a video; 0 for an image file.
+    pub index: usize,
     /// Time stamp [s]; the colour image's where depth has none of its own.
     pub timestamp: f64,
 }
@@ -64,7 +66,7 @@ impl FrameEntry {
         colour: PathBuf,
         depth: Option<PathBuf>,
     ) -> Self {
-        let depth = depth.map(|path| DepthEntry { path, timestamp });
+        let depth = depth.map(|path| DepthEntry { path, index: 0, timestamp });
         Self { index, image_index, timestamp, colour, depth, byte_ranges: None }
     }
 }

@@ -17,22 +17,24 @@ mod scannet;
 mod sens;
 mod seven_scenes;
 mod tum;
+mod video;
 
 pub use camera_file::camera_json;
 pub use listing::{ByteRanges, DepthEntry, DroppedFrames, FrameEntry};
 pub use scannet::paper_frames;
 pub use tum::{read_trajectory, write_trajectory};
 
-pub(crate) use association::pair_mutually_nearest;
+pub(crate) use association::{AssociationRules, associate, pair_mutually_nearest};
 pub(crate) use camera_file::read_camera;
 pub(crate) use file_pairing::{file_stem, last_number};
 pub(crate) use folders::list_images_below;
 pub(crate) use listing::Listing;
 pub(crate) use tum::{published_calibration, read_unit_trajectory};
+pub(crate) use video::video_rules;
 
 use crate::camera::{Calibration, FormatDefaults};
 use crate::text::{is_present, list_names};
-use crate::video::{Video, VideoListing, is_video};
+use crate::video::is_video;
 use crate::{DatasetError, OpenOptions};
 use nerfstudio::TransformsFile;
 use std::path::{Path, PathBuf};
@@ -57,7 +59,7 @@ pub enum Layout {
     Nerfstudio,
     /// A colour folder beside a depth folder, or colour images alone.
     Plain,
-    /// A video file, colour alone.
+    /// A video file; its second track is depth where it is 16-bit grey.
     Video,
 }
 
@@ -99,9 +101,7 @@ impl Layout {
             Self::Plain => {
                 ("colour and depth folders", "colour/ (color/, rgb/, images/), depth/, camera.json")
             }
-            Self::Video => {
-                ("video", "a video file (.mp4, .mov, .mkv, .webm, .avi, ...), colour alone")
-            }
+            Self::Video => ("video", "a video file (.mp4, .mov, .mkv, .webm, .avi, ...)"),
         }
     }
 }
@@ -193,7 +193,8 @@ impl DetectedLayout {
             Self::Replica(_) => replica::DEFAULTS,
             Self::SevenScenes => seven_scenes::DEFAULTS,
             Self::Nerfstudio(file) => file.defaults(),
-            Self::Tum | Self::Eth3d(_) | Self::Plain(_) | Self::Video => FormatDefaults::TUM,
+            Self::Video => video::DEFAULTS,
+            Self::Tum | Self::Eth3d(_) | Self::Plain(_) => FormatDefaults::TUM,
         }
     }
 
@@ -231,22 +232,7 @@ impl DetectedLayout {
             Self::SevenScenes => seven_scenes::list(path, options, frame_rate),
             Self::Nerfstudio(file) => file.list(options, frame_rate),
             Self::Plain(folders) => folders::list(path, folders, options, frame_rate),
-            Self::Video => list_video(path, options, frame_rate),
+            Self::Video => video::list(path, options, frame_rate),
         }
     }
-}
-
-/// Frames of a video, those before the end of `options.frames`.
-fn list_video(
-    path: &Path,
-    options: &OpenOptions,
-    frame_rate: f64,
-) -> Result<Listing, DatasetError> {
-    let end = options.frames.as_ref().map(|range| range.end);
-    let VideoListing { video, timestamps, warnings } = Video::open(path, end, frame_rate)?;
-    let entry = |(index, time): (usize, f64)| {
-        FrameEntry::synchronous((index, index), time, path.to_path_buf(), None)
-    };
-    let entries = timestamps.into_iter().enumerate().map(entry).collect();
-    Ok(Listing { video: Some(video), warnings, ..Listing::new(Layout::Video, entries) })
 }

@@ -96,7 +96,11 @@ impl SensFile {
             image_index: index,
             timestamp: time(index),
             colour: self.path.clone(),
-            depth: Some(DepthEntry { path: self.path.clone(), timestamp: depth_time(index) }),
+            depth: Some(DepthEntry {
+                path: self.path.clone(),
+                index: 0,
+                timestamp: depth_time(index),
+            }),
             byte_ranges: Some(ByteRanges {
                 colour: frame.colour.clone(),
                 depth: frame.depth.clone(),

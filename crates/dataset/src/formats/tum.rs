@@ -143,11 +143,7 @@ pub(super) fn list_by_time(
     let stamps = |files: &[(f64, PathBuf)]| files.iter().map(|f| f.0).collect::<Vec<f64>>();
     let colour = stamps(&stamped.colour);
     let depth = stamped.depth.as_ref().map(|files| stamps(files));
-    let rules = AssociationRules {
-        pairing: options.depth_pairing,
-        tolerance: options.association_tolerance,
-        minimum_gap: options.minimum_gap,
-    };
+    let rules = AssociationRules::of(options);
     let ground_truth = ground_truth(folder);
     let mut warnings = Vec::new();
     let poses = ground_truth.as_deref().and_then(|path| pose_stamps(path, &mut warnings));
@@ -168,11 +164,7 @@ pub(super) fn list_by_time(
         return Err(DatasetError::file(folder, reason));
     }
     let entries = entries(&association, &stamped);
-    let dropped = DroppedFrames {
-        without_depth: association.without_depth,
-        without_pose: association.without_pose,
-        too_close: association.too_close,
-    };
+    let dropped = dropped_frames(&association);
     warnings.extend(time_warnings(&dropped, rules));
     let listing = Listing::new(layout, entries);
     Ok(Listing { dropped, is_thinned: true, ground_truth, warnings, ..listing })
@@ -182,10 +174,19 @@ fn entries(association: &Association, stamped: &StampedImages) -> Vec<FrameEntry
     let entry = |(index, &(i, j)): (usize, &(usize, Option<usize>))| {
         let (timestamp, colour) = stamped.colour[i].clone();
         let depth = stamped.depth.as_ref().zip(j).map(|(files, j)| files[j].clone());
-        let depth = depth.map(|(timestamp, path)| DepthEntry { path, timestamp });
+        let depth = depth.map(|(timestamp, path)| DepthEntry { path, index: 0, timestamp });
         FrameEntry { depth, ..FrameEntry::synchronous((index, i), timestamp, colour, None) }
     };
     association.pairs.iter().enumerate().map(entry).collect()
+}
+
+/// Counts of the colour images that are not in the associated stream.
+pub(super) fn dropped_frames(association: &Association) -> DroppedFrames {
+    DroppedFrames {
+        without_depth: association.without_depth,
+        without_pose: association.without_pose,
+        too_close: association.too_close,
+    }
 }
 
 /// Path of the folder's ground truth, if there is a file.
@@ -203,7 +204,7 @@ fn pose_stamps(path: &Path, warnings: &mut Vec<String>) -> Option<Vec<f64>> {
     }
 }
 
-fn time_warnings(dropped: &DroppedFrames, rules: AssociationRules) -> Vec<String> {
+pub(super) fn time_warnings(dropped: &DroppedFrames, rules: AssociationRules) -> Vec<String> {
     let AssociationRules { tolerance, minimum_gap, .. } = rules;
     let all = [
         (dropped.without_depth, "colour image", format!("no depth image within {tolerance} s")),

@@ -84,13 +84,12 @@ impl Resampler {
             border,
             taps: None,
             areas: None,
-            depth_lookup: Vec::new(),
+            depth_lookup: depth_map(recorded, lens, border, delivered),
             cropped: (cropped.width, cropped.height),
             camera: cropped.resized(delivered.0, delivered.1),
             valid_mask: None,
             full_coverage_border: border,
         };
-        resampler.depth_lookup = resampler.depth_map(recorded, lens);
         if !lens.is_zero() {
             resampler.taps = Some(resampler.colour_map(recorded, lens));
         } else if recorded.colour != recorded.grid {
@@ -104,9 +103,27 @@ impl Resampler {
         self.border
     }
 
+    /// As [`new`](Self::new) without a border, for colour images that have the delivered size already;
+    /// depth as it was recorded.
+    pub(crate) fn of_scaled_colour(
+        recorded: &RecordingCameras,
+        lens: &Distortion,
+        delivered: (usize, usize),
+    ) -> Self {
+        Self {
+            depth_size: (recorded.depth.width, recorded.depth.height),
+            depth_lookup: depth_map(recorded, lens, 0, delivered),
+            ..Self::new(&recorded.resized(delivered), lens, 0, delivered)
+        }
+    }
+
     /// Rebuilds the tables for other cameras of the same sizes.
     pub(crate) fn with_camera(&self, recorded: &RecordingCameras, lens: &Distortion) -> Self {
-        Self::new(recorded, lens, self.border, (self.camera.width, self.camera.height))
+        let delivered = (self.camera.width, self.camera.height);
+        match self.colour_size == (recorded.colour.width, recorded.colour.height) {
+            true => Self::new(recorded, lens, self.border, delivered),
+            false => Self::of_scaled_colour(recorded, lens, delivered),
+        }
     }
 
     fn area_map(&mut self, recorded: &RecordingCameras) -> AreaResampler {
@@ -144,23 +161,6 @@ impl Resampler {
             });
         }
         taps
-    }
-
-    fn depth_map(&self, recorded: &RecordingCameras, lens: &Distortion) -> Vec<u32> {
-        let (width, height) = (self.camera.width, self.camera.height);
-        let step_x = self.cropped.0 as f64 / width as f64;
-        let step_y = self.cropped.1 as f64 / height as f64;
-        let border = self.border as f64;
-        let mut lookup = Vec::with_capacity(width * height);
-        for row in 0..height {
-            for column in 0..width {
-                let u = (column as f64 + 0.5) * step_x + border;
-                let v = (row as f64 + 0.5) * step_y + border;
-                let (u, v) = distort_pixel(&recorded.grid, lens, &recorded.depth, u, v);
-                lookup.push(pixel_index(&recorded.depth, u, v));
-            }
-        }
-        lookup
     }
 
     /// Resamples a recorded colour image. Beyond its edge the edge is repeated.
@@ -215,6 +215,29 @@ impl Resampler {
     pub(crate) fn recorded_sizes(&self) -> ((usize, usize), (usize, usize)) {
         (self.colour_size, self.depth_size)
     }
+}
+
+/// Index of the recorded depth pixel per delivered pixel, or [`OUTSIDE`].
+fn depth_map(
+    recorded: &RecordingCameras,
+    lens: &Distortion,
+    border: usize,
+    (width, height): (usize, usize),
+) -> Vec<u32> {
+    let cropped = recorded.grid.cropped(border);
+    let step_x = cropped.width as f64 / width as f64;
+    let step_y = cropped.height as f64 / height as f64;
+    let border = border as f64;
+    let mut lookup = Vec::with_capacity(width * height);
+    for row in 0..height {
+        for column in 0..width {
+            let u = (column as f64 + 0.5) * step_x + border;
+            let v = (row as f64 + 0.5) * step_y + border;
+            let (u, v) = distort_pixel(&recorded.grid, lens, &recorded.depth, u, v);
+            lookup.push(pixel_index(&recorded.depth, u, v));
+        }
+    }
+    lookup
 }
 
 /// Maps pixel `(u, v)` of the pinhole `from` to the distorted image of camera `to`.

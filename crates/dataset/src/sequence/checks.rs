@@ -4,11 +4,11 @@ use super::frames::FrameLoader;
 use crate::DatasetError;
 use crate::camera::{Calibration, DepthGrid, Orientation, has_central_principal_point};
 use crate::formats::FrameEntry;
-use crate::image::{self, DepthEncoding, RecordingCameras, Resampler, decode_depth};
+use crate::image::{self, DepthEncoding, RecordingCameras, Resampler};
 use crate::video::Video;
 use i2slam_compute::median;
 use i2slam_geometry::Camera;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Depth images read to check the depth scale.
 const DEPTH_PROBES: usize = 3;
@@ -39,6 +39,9 @@ pub(super) fn recording_cameras(
     };
     let (width, height) = (colour.width, colour.height);
     let depth_size = || {
+        if let Some(size) = video.and_then(Video::depth_size) {
+            return size;
+        }
         let probes = entries.iter().filter_map(|entry| Some((entry, entry.depth_path()?)));
         let sizes = probes
             .take(SIZE_PROBES)
@@ -46,6 +49,9 @@ pub(super) fn recording_cameras(
         most_common(&sizes.collect::<Vec<_>>()).unwrap_or((width, height))
     };
     Ok(match calibration.format.grid {
+        DepthGrid::Registered if video.is_some_and(|video| !video.has_registered_size()) => {
+            return Err(unregistered(entries, (width, height), depth_size()));
+        }
         DepthGrid::Registered => RecordingCameras { colour, depth: colour, grid: colour },
         DepthGrid::ResizedToColour => {
             let (width, height) = depth_size();
@@ -65,6 +71,21 @@ pub(super) fn recording_cameras(
             RecordingCameras { colour: if reduced { depth } else { colour }, depth, grid: depth }
         }
     })
+}
+
+/// The error for a video whose depth has another size than its colour [px].
+fn unregistered(
+    entries: &[FrameEntry],
+    colour: (usize, usize),
+    depth: (usize, usize),
+) -> DatasetError {
+    let path = entries.first().map(|entry| entry.colour.as_path()).unwrap_or(Path::new(""));
+    let reason = format!(
+        "its second video track, depth, is {}x{} px, expected {}x{} as the first, colour: depth has to \
+         be registered to colour, pixel by pixel",
+        depth.0, depth.1, colour.0, colour.1
+    );
+    DatasetError::file(path, reason)
 }
 
 /// A warning if the intrinsics seem to belong to another image size, or to be in another unit.
@@ -147,13 +168,11 @@ fn most_common(sizes: &[(usize, usize)]) -> Option<(usize, usize)> {
 
 /// A warning if the median depth of the first frames is implausible.
 pub(super) fn depth_scale_warning(entries: &[FrameEntry], loader: &FrameLoader) -> Option<String> {
-    let (depth_scale, code, invalid) =
-        (loader.depth_scale, loader.depth_encoding, loader.invalid_depth);
+    let (depth_scale, invalid) = (loader.depth_scale, loader.invalid_depth);
     let mut values: Vec<u16> = Vec::new();
-    let probes = entries.iter().filter_map(|entry| Some((entry, entry.depth_path()?)));
-    for (entry, path) in probes.take(DEPTH_PROBES).filter(|_| !loader.colour_only) {
-        let depth = decode_depth(path, entry.depth_range(), code, loader.expected_depth());
-        let Ok(depth) = depth else { continue };
+    let probes = entries.iter().filter_map(|entry| Some((entry, entry.depth.as_ref()?)));
+    for (entry, depth) in probes.take(DEPTH_PROBES).filter(|_| !loader.colour_only) {
+        let Ok(depth) = loader.recorded_depth(entry, depth) else { continue };
         let valid = |v: &&u16| **v > 0 && Some(**v) != invalid;
         values.extend(depth.data.iter().step_by(7).filter(valid));
     }

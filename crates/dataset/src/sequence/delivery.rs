@@ -60,11 +60,7 @@ impl Sequence {
     pub fn with_estimated_camera(&self, camera: &EstimatedCamera) -> Self {
         let cameras = estimated_cameras(camera, &self.cameras);
         let loader = &self.loader;
-        let (size, _) = loader.resampler.recorded_sizes();
-        // A video may be scaled by ffmpeg before it is resampled here.
-        let is_whole = size == (cameras.colour.width, cameras.colour.height);
-        let read = if is_whole { cameras } else { cameras.resized(size) };
-        let resampler = loader.resampler.with_camera(&read, &camera.lens());
+        let resampler = loader.resampler.with_camera(&cameras, &camera.lens());
         Self {
             camera_source: ESTIMATED_SOURCE.to_owned(),
             camera_is_guess: false,
@@ -84,7 +80,7 @@ fn estimated_cameras(estimated: &EstimatedCamera, assumed: &RecordingCameras) ->
 }
 
 /// The resampler for frames of a size, and the video they come from, if any. Without a border
-/// ffmpeg scales the video, which saves bandwidth of the pipe.
+/// ffmpeg scales the colour of a video, which saves bandwidth of the pipe; depth must not be averaged.
 pub(super) fn delivery(
     cameras: &RecordingCameras,
     lens: &Distortion,
@@ -92,12 +88,14 @@ pub(super) fn delivery(
     delivered: (usize, usize),
     video: Option<&Video>,
 ) -> (Resampler, Option<Arc<Video>>) {
-    let read = match video {
-        Some(_) if border == 0 => cameras.resized(delivered),
-        _ => *cameras,
+    let whole = (cameras.colour.width, cameras.colour.height);
+    let (resampler, read) = match video {
+        Some(_) if border == 0 => {
+            (Resampler::of_scaled_colour(cameras, lens, delivered), delivered)
+        }
+        _ => (Resampler::new(cameras, lens, border, delivered), whole),
     };
-    let video = video.map(|v| Arc::new(v.with_size((read.colour.width, read.colour.height))));
-    (Resampler::new(&read, lens, border, delivered), video)
+    (resampler, video.map(|video| Arc::new(video.with_size(read))))
 }
 
 /// Width and height of the frames delivered on `grid`, cropped and scaled [px].

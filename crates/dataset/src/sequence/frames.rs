@@ -2,12 +2,11 @@
 
 use crate::DatasetError;
 use crate::camera::Orientation;
-use crate::formats::FrameEntry;
+use crate::formats::{DepthEntry, FrameEntry};
 use crate::image::{DepthEncoding, ExpectedSize, Resampler, decode_colour, decode_depth};
 use crate::video::Video;
 use i2slam_geometry::Image;
 use std::collections::VecDeque;
-use std::path::Path;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, sync_channel};
 use std::thread::JoinHandle;
@@ -90,10 +89,7 @@ impl FrameLoader {
         };
         let mut frame = self.deliver(&colour, (entry.index, entry.timestamp));
         if let Some(depth) = entry.depth.as_ref().filter(|_| !self.colour_only) {
-            let image = self.load_depth(&depth.path, entry)?;
-            frame.warnings.splice(0..0, depth_warning(&image));
-            let (image, timestamp) = (Arc::new(image), depth.timestamp);
-            frame.depth = Some(DepthPicture { image, timestamp });
+            self.deliver_depth(self.recorded_depth(entry, depth)?, depth.timestamp, &mut frame);
         }
         Ok(frame)
     }
@@ -106,21 +102,36 @@ impl FrameLoader {
     }
 
     /// Size of the depth images.
-    pub(super) fn expected_depth(&self) -> ExpectedSize<'static> {
+    fn expected_depth(&self) -> ExpectedSize<'static> {
         let (colour, size) = self.resampler.recorded_sizes();
         let reference =
             if size == colour { "the other colour images" } else { "the other depth images" };
         ExpectedSize { size, reference }
     }
 
-    /// Reads and resamples the depth image of a frame [m].
-    fn load_depth(&self, path: &Path, entry: &FrameEntry) -> Result<Image<f32>, DatasetError> {
-        let (encoding, expected) = (self.depth_encoding, self.expected_depth());
-        let mut depth = decode_depth(path, entry.depth_range(), encoding, expected)?;
+    /// Reads the depth image of a frame as it was recorded.
+    pub(super) fn recorded_depth(
+        &self,
+        entry: &FrameEntry,
+        depth: &DepthEntry,
+    ) -> Result<Image<u16>, DatasetError> {
+        match self.video.as_deref().filter(|video| video.is_at(&depth.path)) {
+            Some(video) => video.decode_depth(depth.index),
+            None => {
+                let (encoding, expected) = (self.depth_encoding, self.expected_depth());
+                decode_depth(&depth.path, entry.depth_range(), encoding, expected)
+            }
+        }
+    }
+
+    /// Resamples recorded depth of a time [s] for a frame.
+    pub(super) fn deliver_depth(&self, mut depth: Image<u16>, timestamp: f64, frame: &mut Frame) {
         if let Some(invalid) = self.invalid_depth {
             depth.data.iter_mut().filter(|value| **value == invalid).for_each(|value| *value = 0);
         }
-        Ok(self.resampler.depth(&depth, self.depth_scale, self.max_depth))
+        let image = self.resampler.depth(&depth, self.depth_scale, self.max_depth);
+        frame.warnings.splice(0..0, depth_warning(&image));
+        frame.depth = Some(DepthPicture { image: Arc::new(image), timestamp });
     }
 }
 

@@ -1,14 +1,31 @@
 //! Streams, whose frames are had while they come, and which are sequences once they have ended.
 
+use super::live_pairing::{LivePairing, Paired};
 use super::{DEFAULT_FRAME_RATE, Frame, Sequence};
-use crate::video::{LiveFrames, Recording};
-use crate::{DatasetError, OpenOptions};
+use crate::formats::video_rules;
+use crate::video::{LiveFrames, Recording, Video};
+use crate::{DatasetError, DepthPairing, OpenOptions};
 use i2slam_compute::CancellationToken;
 use std::path::{Path, PathBuf};
-use std::time::Duration;
+use std::sync::Arc;
+use std::sync::mpsc::RecvTimeoutError;
+use std::time::{Duration, Instant};
 
 /// Interval at which a stream without a whole frame so far is looked at.
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
+
+/// Time for which one track is looked at before the other is.
+const TRACK_INTERVAL: Duration = Duration::from_millis(2);
+
+/// A colour picture waits for depth while fewer than this have come after it, or depth comes.
+const LATER_FRAMES: usize = 2;
+
+/// Time without a depth picture after which depth does not come any more. Decoders take turns with
+/// other threads, so that one may be late though its picture is in the file.
+const SILENCE: Duration = Duration::from_secs(1);
+
+/// Most colour pictures that wait for depth, however late that is.
+const MAX_WAITING: usize = 32;
 
 /// A stream that is being recorded: an address, a named pipe, or the standard input (see
 /// [`is_stream`](crate::is_stream)).
@@ -40,8 +57,11 @@ impl LiveSequence {
         end: CancellationToken,
     ) -> Result<Self, DatasetError> {
         options.validate()?;
-        let mut recording = Recording::start(stream, end)?;
-        let of_first = OpenOptions { frames: Some(0..1), stride: 1, ..options.clone() };
+        let mut recording = Recording::start((stream, !options.colour_only), end)?;
+        // Colour without depth is a frame: depth may begin later.
+        let depth_pairing = DepthPairing::OneToOne;
+        let of_first =
+            OpenOptions { frames: Some(0..1), stride: 1, depth_pairing, ..options.clone() };
         let mut tried = 0;
         let first = loop {
             let growing = recording.growing_bytes();
@@ -54,6 +74,7 @@ impl LiveSequence {
                 match Sequence::open(&recording.path(), &of_first) {
                     // Nothing can be decoded yet; other errors would stay.
                     Err(DatasetError::File { .. }) if growing.is_some() => {}
+                    Ok(first) if growing.is_some() && first.awaits_second_track() => {}
                     opened => break opened?,
                 }
             }
@@ -67,6 +88,11 @@ impl LiveSequence {
         &self.first
     }
 
+    /// Whether the stream has a depth track. Its first frame may have no depth all the same.
+    pub fn has_depth(&self) -> bool {
+        self.first.loader.video.as_deref().is_some_and(Video::has_depth)
+    }
+
     /// The frames as they come, delivered as those of `like`, which is [`first`](Self::first) or a
     /// larger copy of it. Frames that nobody asks for wait.
     ///
@@ -77,9 +103,16 @@ impl LiveSequence {
         let Some(video) = like.loader.video.as_deref() else {
             return Err(DatasetError::file(&self.recording.path(), "expected a video"));
         };
-        let decoded = video.follow(&self.recording)?;
-        let like = like.clone();
-        Ok(LiveFrameStream { decoded, like, options: self.options.clone(), next: 0, last: None })
+        let (colour, depth) = video.follow(&self.recording)?;
+        Ok(LiveFrameStream {
+            pairing: LivePairing::new(video_rules(&self.options), depth.is_some()),
+            colour,
+            depth,
+            depth_came: Instant::now(),
+            like: like.clone(),
+            options: self.options.clone(),
+            next: 0,
+        })
     }
 
     /// Waits for the end of the stream.
@@ -95,6 +128,13 @@ impl LiveSequence {
     }
 }
 
+impl Sequence {
+    /// Whether a video has a second track of which nothing has come yet.
+    fn awaits_second_track(&self) -> bool {
+        self.loader.video.as_deref().is_some_and(|video| video.awaits_second_track)
+    }
+}
+
 impl RecordedSequence {
     /// Path of the recorded video.
     pub fn path(&self) -> PathBuf {
@@ -102,17 +142,20 @@ impl RecordedSequence {
     }
 }
 
-/// Iterator over the chosen frames of a stream, each when it comes. Time stamps that are missing or
-/// not increasing are extrapolated: a sequence of the whole stream interpolates them.
+/// Iterator over the chosen frames of a stream, each when it comes and its depth is known. Time stamps
+/// that are missing or not increasing are extrapolated: a sequence of the whole stream interpolates
+/// them.
 #[derive(Debug)]
 pub struct LiveFrameStream {
-    decoded: LiveFrames,
+    colour: LiveFrames,
+    depth: Option<LiveFrames>,
+    pairing: LivePairing<Vec<u8>, Arc<Vec<u8>>>,
+    /// When the last depth picture came.
+    depth_came: Instant,
     like: Sequence,
     options: OpenOptions,
     /// Index of the next frame.
     next: usize,
-    /// Time stamp of the last one [s].
-    last: Option<f64>,
 }
 
 impl Iterator for LiveFrameStream {
@@ -121,17 +164,64 @@ impl Iterator for LiveFrameStream {
     fn next(&mut self) -> Option<Frame> {
         let range = self.options.frames.clone().unwrap_or(0..usize::MAX);
         while self.next < range.end {
-            let (own, image) = self.decoded.next_frame()?;
+            let paired = self.next_paired()?;
             let index = self.next;
-            self.next += 1;
-            let last = self.last.unwrap_or(f64::NEG_INFINITY);
-            let usual = self.last.map_or(0.0, |last| last + DEFAULT_FRAME_RATE.recip());
-            let timestamp = own.filter(|own| *own > last).unwrap_or(usual);
-            self.last = Some(timestamp);
-            if index >= range.start && (index - range.start).is_multiple_of(self.options.stride) {
-                return Some(self.like.loader.deliver(&image, (index, timestamp)));
+            self.next += usize::from(paired.is_frame);
+            let is_chosen =
+                index >= range.start && (index - range.start).is_multiple_of(self.options.stride);
+            if paired.is_frame && is_chosen {
+                return self.deliver(index, paired);
             }
         }
         None
+    }
+}
+
+impl LiveFrameStream {
+    fn deliver(&self, index: usize, paired: Paired<Vec<u8>, Arc<Vec<u8>>>) -> Option<Frame> {
+        let loader = &self.like.loader;
+        let video = loader.video.as_deref()?;
+        let (timestamp, colour) = paired.colour;
+        let mut frame = loader.deliver(&video.colour_image(&colour), (index, timestamp));
+        if let Some((timestamp, depth)) = paired.depth {
+            loader.deliver_depth(video.depth_image(&depth)?, timestamp, &mut frame);
+        }
+        Some(frame)
+    }
+
+    /// Waits for the next colour picture and its depth; `None` at the end.
+    fn next_paired(&mut self) -> Option<Paired<Vec<u8>, Arc<Vec<u8>>>> {
+        loop {
+            let waiting = self.pairing.waiting();
+            let is_silent = waiting > LATER_FRAMES && self.depth_came.elapsed() > SILENCE;
+            if let Some(paired) = self.pairing.next(is_silent || waiting >= MAX_WAITING) {
+                return Some(paired);
+            }
+            if self.pairing.waiting() == 0 && self.pairing.colour_has_ended {
+                return None;
+            }
+            self.receive();
+        }
+    }
+
+    /// Takes what has come of both tracks, or comes soon. Neither waits for the other.
+    fn receive(&mut self) {
+        let interval = DEFAULT_FRAME_RATE.recip();
+        let pairing = &mut self.pairing;
+        if let Some(depth) = self.depth.as_ref().filter(|_| !pairing.depth_has_ended) {
+            match depth.next_within(TRACK_INTERVAL) {
+                Ok((own, bytes)) => {
+                    pairing.push_depth(own, Arc::new(bytes), interval);
+                    self.depth_came = Instant::now();
+                }
+                Err(ended) => pairing.depth_has_ended = ended == RecvTimeoutError::Disconnected,
+            }
+        }
+        if pairing.waiting() < MAX_WAITING && !pairing.colour_has_ended {
+            match self.colour.next_within(TRACK_INTERVAL) {
+                Ok((own, bytes)) => pairing.push_colour(own, bytes, interval),
+                Err(ended) => pairing.colour_has_ended = ended == RecvTimeoutError::Disconnected,
+            }
+        }
     }
 }

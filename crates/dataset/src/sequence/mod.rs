@@ -6,6 +6,7 @@ mod exif_consistency;
 mod find_calibration;
 mod frames;
 mod live;
+mod live_pairing;
 
 pub use frames::{DepthPicture, Frame, FrameStream};
 pub use live::{LiveFrameStream, LiveSequence, RecordedSequence};

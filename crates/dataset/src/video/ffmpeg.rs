@@ -2,6 +2,7 @@
 
 use super::allowed::Allowed;
 use super::ffmpeg_log::FfmpegLog;
+use super::track::{Pictures, Track};
 use crate::DatasetError;
 use std::ffi::{OsStr, OsString};
 use std::io::{BufRead, BufReader, Read};
@@ -13,6 +14,16 @@ const FFMPEG_VARIABLE: &str = "I2SLAM_FFMPEG";
 
 /// Option that outputs every frame once whatever its time, since ffmpeg 5.1 and before.
 const PASSTHROUGH: [[&str; 2]; 2] = [["-fps_mode", "passthrough"], ["-vsync", "0"]];
+
+/// Part of a track, from its start.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Part {
+    All,
+    /// At most so many frames.
+    Frames(usize),
+    /// A length in time [s].
+    Seconds(f64),
+}
 
 /// The ffmpeg program.
 #[derive(Clone, Debug)]
@@ -34,16 +45,16 @@ impl Ffmpeg {
         Self { program, option_version: 0 }
     }
 
-    /// Decodes at most `count` frames of a video through `filter`, discards them and parses the log.
+    /// Decodes `part` of a track of a video through `filter`, discards it and parses the log.
     pub(super) fn read_log(
         &mut self,
-        path: &Path,
+        (path, track): (&Path, Track),
         filter: &str,
-        count: Option<usize>,
+        part: Part,
     ) -> Result<FfmpegLog, DatasetError> {
-        let log = self.read_log_once(path, filter, count)?;
+        let log = self.read_log_once((path, track), filter, part)?;
         if log.frames.is_empty() && self.retry_with_older_options(&log) {
-            return self.read_log_once(path, filter, count);
+            return self.read_log_once((path, track), filter, part);
         }
         Ok(log)
     }
@@ -58,13 +69,19 @@ impl Ffmpeg {
 
     fn read_log_once(
         &self,
-        path: &Path,
+        (path, track): (&Path, Track),
         filter: &str,
-        count: Option<usize>,
+        part: Part,
     ) -> Result<FfmpegLog, DatasetError> {
-        let mut command = self.command("level+info", path, filter);
-        if let Some(count) = count {
-            command.args(["-frames:v", &count.to_string()]);
+        let mut command = self.command("level+info", (path, track), filter);
+        match part {
+            Part::All => {}
+            Part::Frames(count) => {
+                command.args(["-frames:v", &count.to_string()]);
+            }
+            Part::Seconds(length) => {
+                command.args(["-t", &format!("{length:.6}")]);
+            }
         }
         command.args(["-f", "null", "-"]).stdout(Stdio::null());
         let mut child = self.start(&mut command)?;
@@ -74,31 +91,41 @@ impl Ffmpeg {
         Ok(log)
     }
 
-    /// Starts decoding to standard output: images of `width` times `height` pixels, R G B bytes.
-    pub(super) fn decode(&self, path: &Path, size: (usize, usize)) -> Result<Child, DatasetError> {
-        let mut command = self.command("level+error", path, &rgb_filter(size));
+    /// Starts decoding to standard output.
+    pub(super) fn decode(&self, path: &Path, pictures: Pictures) -> Result<Child, DatasetError> {
+        let filter = pictures.filter();
+        let mut command = self.command("level+error", (path, pictures.track), &filter);
         command.args(["-f", "rawvideo", "-"]).stdout(Stdio::piped());
         self.start(&mut command)
     }
 
-    /// Starts decoding a recording from standard input to images as [`decode`](Self::decode) does, with
-    /// their time stamps in the log, each as soon as it can be.
-    pub(super) fn follow(&self, size: (usize, usize)) -> Result<Child, DatasetError> {
+    /// Starts decoding a recording from standard input as [`decode`](Self::decode) does, with the time
+    /// stamps of pictures in the log, each as soon as it can be.
+    pub(super) fn follow(&self, pictures: Pictures) -> Result<Child, DatasetError> {
         let at_once = ["-fpsprobesize", "0", "-threads", "1", "-f", "nut"];
         let allowed = Allowed::stream(Path::new("-"));
         let mut command = self.input_command("level+info", ("-".as_ref(), &at_once), &allowed);
-        command.args(["-vf", &format!("showinfo,{}", rgb_filter(size))]);
+        command.args(["-map", pictures.track.map()]);
+        command.args(["-vf", &format!("showinfo,{}", pictures.filter())]);
         command.args(["-flush_packets", "1", "-f", "rawvideo", "-"]);
         self.start(command.stdin(Stdio::piped()).stdout(Stdio::piped()))
     }
 
-    /// Starts transcoding a stream to standard output: lossless FFV1, every frame once.
-    pub(super) fn record(&self, stream: &Path) -> Result<Child, DatasetError> {
+    /// Starts transcoding a stream to standard output: lossless FFV1, every frame once. `with_depth`:
+    /// the second video track too, if there is one.
+    pub(super) fn record(&self, stream: &Path, with_depth: bool) -> Result<Child, DatasetError> {
         let allowed = Allowed::stream(stream);
         // Twenty frames would be read before the first one is handed on, to guess a frame rate.
         let at_once = ["-fpsprobesize", "0"];
         let source = (stream.as_os_str(), &at_once[..]);
         let mut command = self.input_command("level+warning", source, &allowed);
+        command.args(["-map", Track::Colour.map()]);
+        if with_depth {
+            command.args(["-map", &format!("{}?", Track::Depth.map())]);
+        }
+        // Stamps are rounded to multiples of a guessed frame interval otherwise, each track to others,
+        // and a track waits for the other.
+        command.args(["-enc_time_base", "1/1000000", "-max_interleave_delta", "1"]);
         command.args(["-c:v", "ffv1", "-flush_packets", "1", "-f", "nut", "-"]);
         if stream.as_os_str() == "-" {
             command.stdin(Stdio::inherit());
@@ -106,15 +133,15 @@ impl Ffmpeg {
         self.start(command.stdout(Stdio::piped()))
     }
 
-    fn command(&self, level: &str, path: &Path, filter: &str) -> Command {
+    fn command(&self, level: &str, (path, track): (&Path, Track), filter: &str) -> Command {
         // An absolute path is never taken for a protocol or an option.
         let whole = std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf());
         let mut command = self.input_command(level, (whole.as_os_str(), &[]), &Allowed::file());
-        command.args(["-vf", filter]);
+        command.args(["-map", track.map(), "-vf", filter]);
         command
     }
 
-    /// The arguments that read the first video of a source with some options, every frame once.
+    /// The arguments that read a source with some options, every frame once.
     fn input_command(
         &self,
         level: &str,
@@ -126,7 +153,7 @@ impl Ffmpeg {
         command.args(["-protocol_whitelist", &allowed.protocols]);
         command.args(["-format_whitelist", &allowed.containers]).args(options);
         command.arg("-i").arg(source);
-        command.args(["-map", "0:V:0"]).args(PASSTHROUGH[self.option_version]);
+        command.args(PASSTHROUGH[self.option_version]);
         command.stdin(Stdio::null()).stderr(Stdio::piped());
         detach_from_terminal(&mut command);
         command
@@ -139,11 +166,6 @@ impl Ffmpeg {
             source,
         })
     }
-}
-
-/// Scales frames to a size [px], R G B bytes.
-fn rgb_filter((width, height): (usize, usize)) -> String {
-    format!("scale={width}:{height}:flags=area+accurate_rnd+full_chroma_int,setsar=1,format=rgb24")
 }
 
 /// Gives ffmpeg a process group of its own: Ctrl-C must not end it, since the run still reads

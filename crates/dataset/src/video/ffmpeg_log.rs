@@ -17,6 +17,8 @@ pub(super) struct FfmpegLog {
     pub(super) duration: Option<f64>,
     /// Codec of the first video stream.
     pub(super) codec: Option<String>,
+    /// Whether the track that was asked for is not there.
+    pub(super) lacks_track: bool,
     /// First error that is not [secondary](SECONDARY_ERRORS).
     error: Option<String>,
     /// Last error of any kind.
@@ -34,6 +36,8 @@ pub(super) struct LoggedFrame {
     pub(super) size: (usize, usize),
     /// Width of a pixel over its height.
     pub(super) pixel_aspect: f64,
+    /// Whether its pixels are one grey value of 16 bits.
+    pub(super) is_grey16: bool,
 }
 
 impl FfmpegLog {
@@ -52,6 +56,7 @@ impl FfmpegLog {
         if let Some(video) = after(line, " Video:").filter(|_| self.codec.is_none()) {
             self.codec = video.split(',').next().map(str::to_owned);
         }
+        self.lacks_track |= line.contains("matches no streams");
         let is_error = line.contains("[error]") || line.contains("[fatal]");
         let line = without_prefix(line);
         if line.is_empty() {
@@ -100,11 +105,13 @@ impl LoggedFrame {
         let ticks = after(line, " pts:")?;
         let size = word(line, " s:")?;
         let (width, height) = size.split_once('x')?;
+        let format = word(line, " fmt:");
         let aspect = word(line, " sar:").and_then(|text| ratio(text, '/'));
         Some(Self {
             ticks: ticks.split(' ').next()?.parse().ok(),
             size: (width.parse().ok()?, height.parse().ok()?),
             pixel_aspect: aspect.filter(|a| a.is_finite() && *a > 0.0).unwrap_or(1.0),
+            is_grey16: matches!(format, Some("gray16le" | "gray16be")),
         })
     }
 }
@@ -158,13 +165,14 @@ mod tests {
              fmt:yuv420p cl:left sar:0/1 s:320x240 i:P iskey:1 type:I\n\
              [Parsed_showinfo_0 @ 0x7f7e] [info] color_range:unknown color_space:unknown\n\
              [Parsed_showinfo_0 @ 0x7f7e] [info] n:   1 pts:    512 pts_time:0.0333333 pos: 48 \
-             fmt:yuv420p sar:4/3 s:320x240 i:P",
+             fmt:gray16le sar:4/3 s:320x240 i:P",
         );
         assert_eq!(log.duration, Some(62.5));
         assert_eq!(log.codec.as_deref(), Some("h264 (High) (avc1 / 0x3163)"));
         assert_eq!(log.timestamps().map(|s| s.seconds), Some(vec![0.0, 512.0 / 15360.0]));
         assert_eq!((log.frames[0].size, log.frames[0].pixel_aspect), ((320, 240), 1.0));
         assert_eq!(log.frames[1].pixel_aspect, 4.0 / 3.0);
+        assert_eq!([log.frames[0].is_grey16, log.frames[1].is_grey16], [false, true]);
         assert_eq!(log.error(), None);
     }
 

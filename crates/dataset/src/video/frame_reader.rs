@@ -5,6 +5,7 @@
 //! format, which seeking is not.
 
 use super::ffmpeg::{Ffmpeg, parse_log};
+use super::track::Pictures;
 use crate::DatasetError;
 use std::collections::VecDeque;
 use std::io::{BufReader, ErrorKind, Read};
@@ -19,11 +20,11 @@ const CACHE_BYTES: usize = 64 << 20;
 /// Buffer size of the pipe [bytes].
 const BUFFER_BYTES: usize = 1 << 18;
 
-/// Reader of a video's frames: three bytes a pixel, R G B.
+/// Reader of the pictures of a track.
 #[derive(Debug)]
 pub(super) struct FrameReader {
     ffmpeg: Ffmpeg,
-    size: (usize, usize),
+    pictures: Pictures,
     decoder: Option<Decoder>,
     /// First frame that could not be decoded.
     ends_at: Option<usize>,
@@ -45,9 +46,9 @@ struct Decoder {
 }
 
 impl FrameReader {
-    pub(super) fn new(ffmpeg: Ffmpeg, size: (usize, usize)) -> Self {
-        let capacity = (CACHE_BYTES / (3 * size.0 * size.1).max(1)).max(1);
-        Self { ffmpeg, size, decoder: None, ends_at: None, capacity, cache: VecDeque::new() }
+    pub(super) fn new(ffmpeg: Ffmpeg, pictures: Pictures) -> Self {
+        let capacity = (CACHE_BYTES / pictures.bytes().max(1)).max(1);
+        Self { ffmpeg, pictures, decoder: None, ends_at: None, capacity, cache: VecDeque::new() }
     }
 
     /// Sets the capacity of the cache [frames].
@@ -70,13 +71,12 @@ impl FrameReader {
         }
         if self.decoder.as_ref().is_none_or(|decoder| decoder.next > number) {
             self.decoder = None;
-            self.decoder = Some(Decoder::start(&self.ffmpeg, path, self.size)?);
+            self.decoder = Some(Decoder::start(&self.ffmpeg, path, self.pictures)?);
             self.cache.clear();
         }
-        let length = 3 * self.size.0 * self.size.1;
         while let Some(decoder) = &mut self.decoder {
             let this = decoder.next;
-            let mut bytes = vec![0; length];
+            let mut bytes = vec![0; self.pictures.bytes()];
             if let Err(error) = decoder.images.read_exact(&mut bytes) {
                 self.ends_at = Some(this);
                 let message = self.decoder.take().map(Decoder::end).unwrap_or_default();
@@ -110,8 +110,8 @@ fn decode_error(path: &Path, at: usize, error: &std::io::Error, message: &str) -
 }
 
 impl Decoder {
-    fn start(ffmpeg: &Ffmpeg, path: &Path, size: (usize, usize)) -> Result<Self, DatasetError> {
-        let mut child = ffmpeg.decode(path, size)?;
+    fn start(ffmpeg: &Ffmpeg, path: &Path, pictures: Pictures) -> Result<Self, DatasetError> {
+        let mut child = ffmpeg.decode(path, pictures)?;
         let Some(images) = child.stdout.take() else {
             return Err(DatasetError::file(path, "ffmpeg gives no pictures"));
         };

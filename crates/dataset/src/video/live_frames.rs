@@ -1,20 +1,19 @@
-//! Frames of a video file that is still being written.
+//! Pictures of a video file that is still being written.
 //!
 //! The file is handed to the decoder as it grows. Reading does not hold up writing: frames that are
 //! not asked for wait in the file.
 
 use super::ffmpeg::{Ffmpeg, push_lines};
 use super::ffmpeg_log::FfmpegLog;
+use super::track::Pictures;
 use crate::DatasetError;
-use crate::image::image_from_rgb;
-use i2slam_geometry::Image;
 use std::fs::File;
 use std::io::{self, BufReader, Read, Write};
 use std::path::Path;
-use std::process::{Child, ChildStdout};
+use std::process::Child;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel, sync_channel};
 use std::time::Duration;
 
 /// Buffer size of the pipes [bytes].
@@ -22,29 +21,28 @@ const BUFFER_BYTES: usize = 1 << 18;
 /// Interval at which a file is looked at that has no more to read yet.
 const POLL_INTERVAL: Duration = Duration::from_millis(5);
 
-/// Decoder of a growing file: frames in order.
+/// The bytes of a picture and its own time stamp [s], if it has one.
+pub(crate) type LivePicture = (Option<f64>, Vec<u8>);
+
+/// Decoder of a track of a growing file: pictures in order.
 #[derive(Debug)]
 pub(crate) struct LiveFrames {
     child: Child,
-    images: BufReader<ChildStdout>,
-    /// Time stamps as logged [s]; `None` for a frame without one.
-    timestamps: Receiver<Option<f64>>,
-    size: (usize, usize),
+    pictures: Receiver<LivePicture>,
     /// Tells the thread that reads the file to end.
     is_dropped: Arc<AtomicBool>,
 }
 
 impl LiveFrames {
-    /// Decodes a file from its beginning at a size [px], waiting for more at its end until it is
-    /// complete.
+    /// Decodes a track of a file from its beginning, waiting for more at its end until it is complete.
     pub(super) fn start(
         ffmpeg: &Ffmpeg,
         path: &Path,
         is_complete: Arc<AtomicBool>,
-        size: (usize, usize),
+        pictures: Pictures,
     ) -> Result<Self, DatasetError> {
         let file = i2slam_storage::open(path).map_err(|e| DatasetError::read(path, e))?;
-        let mut child = ffmpeg.follow(size)?;
+        let mut child = ffmpeg.follow(pictures)?;
         let (Some(to), Some(images), Some(log)) =
             (child.stdin.take(), child.stdout.take(), child.stderr.take())
         else {
@@ -65,18 +63,25 @@ impl LiveFrames {
                 }
             });
         });
-        let images = BufReader::with_capacity(BUFFER_BYTES, images);
-        Ok(Self { child, images, timestamps, size, is_dropped })
+        // One picture is decoded ahead; what nobody asks for stays in the file.
+        let (sender, decoded) = sync_channel(0);
+        std::thread::spawn(move || {
+            let mut images = BufReader::with_capacity(BUFFER_BYTES, images);
+            let mut bytes = vec![0; pictures.bytes()];
+            while images.read_exact(&mut bytes).is_ok() {
+                let picture = (timestamps.recv().ok().flatten(), bytes.clone());
+                if sender.send(picture).is_err() {
+                    break;
+                }
+            }
+        });
+        Ok(Self { child, pictures: decoded, is_dropped })
     }
 
-    /// The next frame with its own time stamp [s], if it has one: 3 planes R, G, B in [0, 1]. `None`
-    /// after the last frame.
-    pub(crate) fn next_frame(&mut self) -> Option<(Option<f64>, Image<f32>)> {
-        let (width, height) = self.size;
-        let mut bytes = vec![0; 3 * width * height];
-        self.images.read_exact(&mut bytes).ok()?;
-        let timestamp = self.timestamps.recv().ok().flatten();
-        Some((timestamp, image_from_rgb(width, height, &bytes)))
+    /// The next picture, if it comes within a time; [`RecvTimeoutError::Disconnected`] after the last
+    /// one.
+    pub(crate) fn next_within(&self, time: Duration) -> Result<LivePicture, RecvTimeoutError> {
+        self.pictures.recv_timeout(time)
     }
 }
 

@@ -1,4 +1,4 @@
-//! Videos, decoded by the program `ffmpeg`.
+//! Videos, decoded by the program `ffmpeg`. A second track of 16-bit grey is depth.
 //!
 //! Opening a video decodes it once to count its frames and read their time stamps; images are then
 //! piped from ffmpeg on demand ([`frame_reader`]), and nothing is written to disk.
@@ -10,17 +10,17 @@ mod frame_reader;
 mod live_frames;
 mod recording;
 mod timestamps;
+mod track;
 
 use crate::DatasetError;
 use crate::image::{MAX_PIXELS, image_from_rgb};
 use crate::text::counted;
-use ffmpeg::Ffmpeg;
+use ffmpeg::{Ffmpeg, Part};
 use ffmpeg_log::FfmpegLog;
-use frame_reader::FrameReader;
 use i2slam_geometry::Image;
 use std::path::{Path, PathBuf};
-use std::sync::Mutex;
 use timestamps::RepairedTimestamps;
+use track::{Pictures, Track, TrackReader};
 
 pub(crate) use live_frames::LiveFrames;
 pub use recording::{MAX_RECORDING_BYTES, is_stream};
@@ -55,40 +55,51 @@ pub(crate) struct Video {
     ffmpeg: Ffmpeg,
     /// Width and height [px] after the rotation that the file asks for, with square pixels.
     pub(crate) size: (usize, usize),
-    reader: Mutex<Option<FrameReader>>,
-    /// Width and height of delivered images [px].
-    delivered: (usize, usize),
+    colour: TrackReader,
+    /// Depth, if the second track is 16-bit grey.
+    depth: Option<TrackReader>,
+    /// Whether there is a second track of which no picture can be decoded (yet).
+    pub(crate) awaits_second_track: bool,
 }
 
-/// An opened video with the time stamps of its frames.
+/// An opened video with the time stamps of its pictures.
 #[derive(Debug)]
 pub(crate) struct VideoListing {
     pub(crate) video: Video,
-    /// One for every frame [s], increasing.
+    /// One for every colour picture [s], increasing.
     pub(crate) timestamps: Vec<f64>,
+    /// One for every depth picture [s], increasing; `None` for a video of colour alone.
+    pub(crate) depth_timestamps: Option<Vec<f64>>,
     pub(crate) warnings: Vec<String>,
 }
 
+/// What is read of a video.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct VideoPart {
+    /// One after the last colour picture that is counted.
+    pub(crate) end: Option<usize>,
+    /// Whether depth is looked for, and up to which time after the last colour picture [s].
+    pub(crate) depth: Option<f64>,
+    /// Rate of pictures without usable time stamps [1/s].
+    pub(crate) frame_rate: f64,
+}
+
 impl Video {
-    /// Counts the frames before `end`. `frame_rate` [1/s] spaces frames if there are no usable time
-    /// stamps.
-    pub(crate) fn open(
-        path: &Path,
-        end: Option<usize>,
-        frame_rate: f64,
-    ) -> Result<VideoListing, DatasetError> {
-        Self::open_with(Ffmpeg::find(), path, end, frame_rate)
+    /// Counts the pictures of a part.
+    pub(crate) fn open(path: &Path, part: VideoPart) -> Result<VideoListing, DatasetError> {
+        Self::open_with(Ffmpeg::find(), path, part)
     }
 
     fn open_with(
         mut ffmpeg: Ffmpeg,
         path: &Path,
-        end: Option<usize>,
-        frame_rate: f64,
+        part: VideoPart,
     ) -> Result<VideoListing, DatasetError> {
-        let first = ffmpeg.read_log(path, "showinfo", Some(1))?;
+        let VideoPart { end, frame_rate, .. } = part;
+        let first = ffmpeg.read_log((path, Track::Colour), "showinfo", Part::Frames(1))?;
         let size = image_size(path, &first)?;
-        let log = ffmpeg.read_log(path, LISTING_FILTER, end)?;
+        let listed = end.map_or(Part::All, Part::Frames);
+        let log = ffmpeg.read_log((path, Track::Colour), LISTING_FILTER, listed)?;
         if log.frames.is_empty() {
             return Err(undecodable(path, &log));
         }
@@ -96,24 +107,19 @@ impl Video {
         let all = log.frames.len();
         let count = end.map_or(all, |end| all.min(end));
         let mut warnings = Vec::new();
-        let mut timestamps = match log.timestamps() {
-            Some(RepairedTimestamps { seconds, repaired }) => {
-                let listed = repaired.partition_point(|frame| *frame < count);
-                warnings.extend(repair_warning(&repaired[..listed]));
-                seconds
-            }
-            None => {
-                let why = format!("no usable time stamps: {frame_rate} frames a second assumed");
-                warnings.push(why);
-                (0..count).map(|i| i as f64 / frame_rate).collect()
-            }
-        };
-        timestamps.truncate(count);
+        let timestamps = timestamps(&log, count, frame_rate, &mut warnings);
         let is_whole = end.is_none_or(|end| all < end);
         warnings.extend(damage_warning(&log, &timestamps).filter(|_| is_whole));
-        let (path, reader) = (path.to_path_buf(), Mutex::new(None));
-        let video = Self { path, ffmpeg, size, reader, delivered: size };
-        Ok(VideoListing { video, timestamps, warnings })
+        let colour = TrackReader::new(Pictures { track: Track::Colour, size });
+        let path = path.to_path_buf();
+        let (depth, awaits_second_track) = (None, false);
+        let video = Self { path, ffmpeg, size, colour, depth, awaits_second_track };
+        let mut listing = VideoListing { video, timestamps, depth_timestamps: None, warnings };
+        if let Some(margin) = part.depth {
+            let until = listing.timestamps.last().filter(|_| !is_whole).map(|last| last + margin);
+            listing.find_depth(until, frame_rate)?;
+        }
+        Ok(listing)
     }
 
     /// Whether the video lies at `path`.
@@ -121,33 +127,122 @@ impl Video {
         self.path == path
     }
 
-    /// Changes the size of delivered images [px].
-    pub(crate) fn with_size(&self, (width, height): (usize, usize)) -> Self {
-        let (path, ffmpeg) = (self.path.clone(), self.ffmpeg.clone());
-        let (delivered, reader) = ((width, height), Mutex::new(None));
-        Self { path, ffmpeg, size: self.size, reader, delivered }
+    /// Whether depth was recorded.
+    pub(crate) fn has_depth(&self) -> bool {
+        self.depth.is_some()
     }
 
-    /// The frames of this video at the size of delivered images, while it is being recorded.
-    pub(crate) fn follow(&self, recording: &Recording) -> Result<LiveFrames, DatasetError> {
-        LiveFrames::start(&self.ffmpeg, &self.path, recording.is_complete(), self.delivered)
+    /// Width and height of depth pictures [px], if there are any.
+    pub(crate) fn depth_size(&self) -> Option<(usize, usize)> {
+        Some(self.depth.as_ref()?.pictures.size)
     }
 
-    /// Decodes a frame: 3 planes R, G, B in [0, 1].
-    pub(crate) fn decode(&self, number: usize) -> Result<Image<f32>, DatasetError> {
-        let bytes = {
-            let mut reader = self.reader.lock().unwrap_or_else(|poisoned| {
-                // The decoder is in an unknown state: restart it.
-                let mut reader = poisoned.into_inner();
-                *reader = None;
-                reader
-            });
-            let new = || FrameReader::new(self.ffmpeg.clone(), self.delivered);
-            reader.get_or_insert_with(new).frame(&self.path, number)?
+    /// Whether depth, if there is any, has the size of colour.
+    pub(crate) fn has_registered_size(&self) -> bool {
+        self.depth_size().is_none_or(|size| size == self.size)
+    }
+
+    /// Changes the size of delivered colour pictures [px].
+    pub(crate) fn with_size(&self, size: (usize, usize)) -> Self {
+        let colour = Pictures { size, ..self.colour.pictures };
+        Self {
+            path: self.path.clone(),
+            ffmpeg: self.ffmpeg.clone(),
+            colour: TrackReader::new(colour),
+            depth: self.depth.as_ref().map(|depth| TrackReader::new(depth.pictures)),
+            ..*self
+        }
+    }
+
+    /// The colour pictures of this video at the size of delivered ones, while it is being recorded, and
+    /// those of depth, if there are any.
+    pub(crate) fn follow(
+        &self,
+        recording: &Recording,
+    ) -> Result<(LiveFrames, Option<LiveFrames>), DatasetError> {
+        let start = |track: &TrackReader| {
+            let is_complete = recording.is_complete();
+            LiveFrames::start(&self.ffmpeg, &self.path, is_complete, track.pictures)
         };
-        let (width, height) = self.delivered;
-        Ok(image_from_rgb(width, height, &bytes))
+        Ok((start(&self.colour)?, self.depth.as_ref().map(start).transpose()?))
     }
+
+    /// Decodes a colour picture: 3 planes R, G, B in [0, 1].
+    pub(crate) fn decode(&self, number: usize) -> Result<Image<f32>, DatasetError> {
+        let bytes = self.colour.picture((&self.ffmpeg, &self.path), number)?;
+        Ok(self.colour_image(&bytes))
+    }
+
+    /// Decodes a depth picture: 1 plane of 16-bit values.
+    pub(crate) fn decode_depth(&self, number: usize) -> Result<Image<u16>, DatasetError> {
+        let none = || DatasetError::image(&self.path, "no second video track of 16-bit grey");
+        let depth = self.depth.as_ref().ok_or_else(none)?;
+        let bytes = depth.picture((&self.ffmpeg, &self.path), number)?;
+        self.depth_image(&bytes).ok_or_else(none)
+    }
+
+    /// A colour picture of its bytes.
+    pub(crate) fn colour_image(&self, bytes: &[u8]) -> Image<f32> {
+        let (width, height) = self.colour.pictures.size;
+        image_from_rgb(width, height, bytes)
+    }
+
+    /// A depth picture of its bytes; `None` for a video of colour alone.
+    pub(crate) fn depth_image(&self, bytes: &[u8]) -> Option<Image<u16>> {
+        let (width, height) = self.depth_size()?;
+        let data = bytes.chunks_exact(2).map(|b| u16::from_le_bytes([b[0], b[1]])).collect();
+        Some(Image { width, height, channels: 1, data })
+    }
+}
+
+impl VideoListing {
+    /// Counts the depth pictures up to a time [s], if the second track is 16-bit grey.
+    fn find_depth(&mut self, until: Option<f64>, frame_rate: f64) -> Result<(), DatasetError> {
+        let Video { path, ffmpeg, .. } = &mut self.video;
+        let second = (path.as_path(), Track::Depth);
+        let first = ffmpeg.read_log(second, "showinfo", Part::Frames(1))?;
+        let Some(frame) = first.frames.first() else {
+            self.video.awaits_second_track = !first.lacks_track;
+            return Ok(());
+        };
+        if !frame.is_grey16 {
+            return Ok(());
+        }
+        let pictures = Pictures { track: Track::Depth, size: frame.size };
+        let part = until.map_or(Part::All, Part::Seconds);
+        let log = ffmpeg.read_log(second, LISTING_FILTER, part)?;
+        let mut warnings = Vec::new();
+        let stamps = timestamps(&log, log.frames.len(), frame_rate, &mut warnings);
+        warnings.extend(log.error().map(|error| format!("damaged (ffmpeg says: {error})")));
+        let named = warnings.iter().map(|warning| format!("second video track, depth: {warning}"));
+        self.warnings.extend(named);
+        self.depth_timestamps = Some(stamps);
+        self.video.depth = Some(TrackReader::new(pictures));
+        Ok(())
+    }
+}
+
+/// Time stamps of the first `count` pictures of a track [s].
+fn timestamps(
+    log: &FfmpegLog,
+    count: usize,
+    frame_rate: f64,
+    warnings: &mut Vec<String>,
+) -> Vec<f64> {
+    let mut stamps = match log.timestamps() {
+        Some(RepairedTimestamps { seconds, repaired }) => {
+            let listed = repaired.partition_point(|frame| *frame < count);
+            warnings.extend(repair_warning(&repaired[..listed]));
+            seconds
+        }
+        None => {
+            let why = format!("no usable time stamps: {frame_rate} frames a second assumed");
+            warnings.push(why);
+            (0..count).map(|i| i as f64 / frame_rate).collect()
+        }
+    };
+    stamps.truncate(count);
+    stamps
 }
 
 /// Width and height of the first frame with square pixels [px].
@@ -165,7 +260,7 @@ fn image_size(path: &Path, log: &FfmpegLog) -> Result<(usize, usize), DatasetErr
 /// The error for a video without a single decodable frame.
 fn undecodable(path: &Path, log: &FfmpegLog) -> DatasetError {
     let message = log.message();
-    let reason = if log.mentions("matches no streams") {
+    let reason = if log.lacks_track {
         "there is no video in it (only sound, or a cover picture)".to_owned()
     } else if log.mentions("Format not on whitelist") {
         "it is a playlist, or in a container that no camera writes; files that name other files are \
@@ -177,6 +272,10 @@ fn undecodable(path: &Path, log: &FfmpegLog) -> DatasetError {
              ffmpeg, or convert the video to H.264",
             log.codec.as_deref().unwrap_or("unknown")
         )
+    } else if log.mentions("Too many packets buffered") {
+        "its second video track gives no picture, and colour waits for it: leave that track out, or \
+         read colour only"
+            .to_owned()
     } else if log.mentions("moov atom not found") {
         format!(
             "the file is damaged, cut off, or no video ({message}): the recording or the copy was \

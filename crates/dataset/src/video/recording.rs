@@ -78,19 +78,22 @@ pub(crate) struct Recording {
 
 impl Recording {
     /// Starts to record a stream until it ends, `end` is cancelled, or [`MAX_RECORDING_BYTES`] are
-    /// reached.
-    pub(crate) fn start(stream: &Path, end: CancellationToken) -> Result<Self, DatasetError> {
+    /// reached; `with_depth`: with a second video track, if there is one.
+    pub(crate) fn start(
+        (stream, with_depth): (&Path, bool),
+        end: CancellationToken,
+    ) -> Result<Self, DatasetError> {
         if is_standard_input(stream) && io::stdin().is_terminal() {
             let reason = "the standard input is a terminal, expected a video: \
                           `some program | i2slam run - --out DIR`";
             return Err(DatasetError::file(stream, reason));
         }
-        Self::start_with(Ffmpeg::find(), stream, MAX_RECORDING_BYTES, end)
+        Self::start_with(Ffmpeg::find(), (stream, with_depth), MAX_RECORDING_BYTES, end)
     }
 
     pub(super) fn start_with(
         ffmpeg: Ffmpeg,
-        stream: &Path,
+        (stream, with_depth): (&Path, bool),
         max_bytes: u64,
         end: CancellationToken,
     ) -> Result<Self, DatasetError> {
@@ -103,7 +106,7 @@ impl Recording {
         let is_dropped = Arc::clone(&recording.is_dropped);
         let ends = move || end.is_cancelled() || is_dropped.load(Ordering::Relaxed);
         recording.thread = Some(std::thread::spawn(move || {
-            let recorded = record(ffmpeg, &stream, (&path, max_bytes), &ends);
+            let recorded = record(ffmpeg, (&stream, with_depth), (&path, max_bytes), &ends);
             drop(is_complete);
             recorded
         }));
@@ -160,7 +163,7 @@ impl Drop for CompleteOnDrop {
 /// Records a stream into a file of a largest size; returns a warning for the user.
 fn record(
     mut ffmpeg: Ffmpeg,
-    stream: &Path,
+    stream: (&Path, bool),
     file: (&Path, u64),
     ends: &dyn Fn() -> bool,
 ) -> Result<Option<String>, DatasetError> {
@@ -170,14 +173,14 @@ fn record(
         ended = record_once(&ffmpeg, stream, file, ends)?;
     }
     if ended.bytes == 0 {
-        return Err(undecodable(stream, &ended.log));
+        return Err(undecodable(stream.0, &ended.log));
     }
     Ok(ended.warning(file.1))
 }
 
 fn record_once(
     ffmpeg: &Ffmpeg,
-    stream: &Path,
+    stream: (&Path, bool),
     (path, max_bytes): (&Path, u64),
     ends: &dyn Fn() -> bool,
 ) -> Result<RecordingEnd, DatasetError> {
@@ -245,8 +248,12 @@ struct RecordingProcess {
 }
 
 impl RecordingProcess {
-    fn start(ffmpeg: &Ffmpeg, stream: &Path, file: File) -> Result<Self, DatasetError> {
-        let mut child = ffmpeg.record(stream)?;
+    fn start(
+        ffmpeg: &Ffmpeg,
+        (stream, with_depth): (&Path, bool),
+        file: File,
+    ) -> Result<Self, DatasetError> {
+        let mut child = ffmpeg.record(stream, with_depth)?;
         let (Some(images), Some(log)) = (child.stdout.take(), child.stderr.take()) else {
             return Err(DatasetError::file(stream, "ffmpeg gives no pictures"));
         };

@@ -1,5 +1,6 @@
 //! Calls of ffmpeg and handling of its output, with a script in its place.
 
+use super::frame_reader::FrameReader;
 use super::*;
 use i2slam_compute::CancellationToken;
 use std::fs;
@@ -19,6 +20,13 @@ case "$*" in
   *) cat "$here/words" >&2;;
 esac
 "#;
+
+/// Colour pictures of the script.
+const SMALL: Pictures = Pictures { track: Track::Colour, size: (2, 2) };
+
+fn part(end: Option<usize>) -> VideoPart {
+    VideoPart { end, depth: Some(1.0), frame_rate: 30.0 }
+}
 
 struct Folder(PathBuf);
 
@@ -44,7 +52,7 @@ impl Folder {
 
     fn open(&self, end: Option<usize>) -> Result<VideoListing, DatasetError> {
         let ffmpeg = Ffmpeg::at(self.0.join("ffmpeg"));
-        Video::open_with(ffmpeg, &self.0.join("a.mp4"), end, 30.0)
+        Video::open_with(ffmpeg, &self.0.join("a.mp4"), part(end))
     }
 
     fn decodings(&self) -> usize {
@@ -80,7 +88,7 @@ fn frames_are_decoded_once_and_cached() {
 fn steps_beyond_the_cache_restart_the_decoder() {
     let folder = Folder::new("back", 10, 10);
     let video = folder.open(None).expect("a video").video;
-    let mut reader = FrameReader::new(video.ffmpeg.clone(), (2, 2)).with_capacity(2);
+    let mut reader = FrameReader::new(video.ffmpeg.clone(), SMALL).with_capacity(2);
     let mut picture = |number| reader.frame(&video.path, number).expect("a picture")[0];
     assert_eq!([picture(6), picture(5), picture(2), picture(3)], [6, 5, 2, 3]);
     assert_eq!(folder.decodings(), 2);
@@ -176,7 +184,7 @@ fn ffmpeg_follows_no_list_and_reads_what_cameras_write() {
         let ffmpeg = ffmpeg.args(["-v", "error", "-f", "lavfi", "-i", source]).args(more);
         assert!(ffmpeg.arg(path(name)).status().expect("ffmpeg").success(), "{name}");
     };
-    let open = |name: &str| Video::open_with(Ffmpeg::find(), &path(name), None, 30.0);
+    let open = |name: &str| Video::open_with(Ffmpeg::find(), &path(name), part(None));
     make("real.mp4", &["-c:v", "mpeg4"]);
     assert_eq!(open("real.mp4").expect("a video").timestamps.len(), 10);
     for name in ["a.mkv", "a.avi", "a.mpg", "a.ts", "a.gif", "a.mjpeg", "a.nut", "a.y4m", "a.flv"] {
@@ -212,7 +220,8 @@ impl Folder {
         end: CancellationToken,
     ) -> Result<(Recording, Option<String>), DatasetError> {
         let ffmpeg = Ffmpeg::at(self.0.join("ffmpeg"));
-        let mut recording = Recording::start_with(ffmpeg, Path::new("rtsp://a/b"), most, end)?;
+        let mut recording =
+            Recording::start_with(ffmpeg, (Path::new("rtsp://a/b"), true), most, end)?;
         let warning = recording.wait()?;
         assert_eq!(recording.growing_bytes(), None);
         Ok((recording, warning))
@@ -232,10 +241,14 @@ fn a_stream_is_decoded_once_into_a_temporary_file() {
     assert!(warning.as_ref().is_some_and(|w| w.contains("it hung up")), "{warning:?}");
     let asked = fs::read_to_string(folder.0.join("asked")).expect("questions");
     // The script refuses the options of new versions before it reads.
-    assert_eq!(asked.lines().filter(|l| l.contains("-vsync 0 -c:v ffv1")).count(), 1, "{asked}");
+    assert_eq!(
+        asked.lines().filter(|l| l.contains("-vsync 0 -map 0:V:0 -map 0:V:1? ")).count(),
+        1,
+        "{asked}"
+    );
     assert!(asked.lines().all(|line| line.contains("-i rtsp://a/b ")), "{asked}");
     let ffmpeg = Ffmpeg::at(folder.0.join("ffmpeg"));
-    let listing = Video::open_with(ffmpeg, &path, None, 30.0).expect("a video");
+    let listing = Video::open_with(ffmpeg, &path, part(None)).expect("a video");
     assert!(listing.timestamps.len() == 3 && is_video(&path));
     drop(recording);
     assert!(!path.exists());
@@ -275,20 +288,24 @@ fn frames_are_had_while_a_file_grows() {
     let mut file = fs::File::create(&path).expect("room");
     file.write_all(&[0; 12]).expect("room");
     let mut ffmpeg = Ffmpeg::at(folder.0.join("ffmpeg"));
-    assert!(ffmpeg.read_log(&path, "showinfo", None).is_ok(), "learns the options");
-    let mut frames =
-        LiveFrames::start(&ffmpeg, &path, Arc::clone(&is_complete), (2, 2)).expect("a decoder");
-    let next = |frames: &mut LiveFrames| {
-        frames.next_frame().map(|(time, image)| (time, (255.0 * image.data[0]).round()))
+    assert!(
+        ffmpeg.read_log((&path, Track::Colour), "showinfo", Part::All).is_ok(),
+        "learns the options"
+    );
+    let frames =
+        LiveFrames::start(&ffmpeg, &path, Arc::clone(&is_complete), SMALL).expect("a decoder");
+    let next = || {
+        let picture = frames.next_within(std::time::Duration::from_secs(60)).ok();
+        picture.map(|(time, bytes)| (time, bytes[0]))
     };
-    assert_eq!(next(&mut frames), Some((Some(0.0), 0.0)));
+    assert_eq!(next(), Some((Some(0.0), 0)));
     file.write_all(&[[1; 12], [2; 12], [3; 12]].concat()).expect("room");
-    assert_eq!(next(&mut frames), Some((Some(0.1), 1.0)));
+    assert_eq!(next(), Some((Some(0.1), 1)));
     is_complete.store(true, Ordering::Release);
-    assert_eq!(next(&mut frames), Some((Some(0.2), 2.0)));
+    assert_eq!(next(), Some((Some(0.2), 2)));
     // The log names three frames.
-    assert_eq!(next(&mut frames), Some((None, 3.0)));
-    assert_eq!(next(&mut frames), None);
+    assert_eq!(next(), Some((None, 3)));
+    assert_eq!(next(), None);
 }
 
 /// A stream of ffmpeg itself: every frame is had before the stream ends, with the time stamps of the
