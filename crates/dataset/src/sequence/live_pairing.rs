@@ -100,3 +100,96 @@ fn increasing(own: Option<f64>, last: Option<f64>, interval: f64) -> f64 {
     let usual = last.map_or(0.0, |last| last + interval);
     own.filter(|own| last.is_none_or(|last| *own > last)).unwrap_or(usual)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use i2slam_compute::Random;
+
+    const RULES: AssociationRules =
+        AssociationRules { pairing: DepthPairing::OneToOne, tolerance: 0.08, minimum_gap: 0.0 };
+
+    /// Partners that pictures get when both tracks come in order of time, and what waits then.
+    fn paired_live(
+        colour: &[f64],
+        depth: &[f64],
+        rules: AssociationRules,
+    ) -> Vec<(usize, Option<usize>)> {
+        let mut pairing = LivePairing::new(rules, true);
+        let mut found = Vec::new();
+        let (mut i, mut j) = (0, 0);
+        let mut take = |pairing: &mut LivePairing<usize, usize>| {
+            while let Some(Paired { colour, depth, is_frame }) = pairing.next(false) {
+                found.extend(is_frame.then_some((colour.1, depth.map(|(_, j)| j))));
+            }
+        };
+        while i < colour.len() || j < depth.len() {
+            if j == depth.len() || i < colour.len() && colour[i] <= depth[j] {
+                pairing.push_colour(Some(colour[i]), i, 0.1);
+                i += 1;
+            } else {
+                pairing.push_depth(Some(depth[j]), j, 0.1);
+                j += 1;
+            }
+            take(&mut pairing);
+        }
+        (pairing.colour_has_ended, pairing.depth_has_ended) = (true, true);
+        take(&mut pairing);
+        assert_eq!(pairing.waiting(), 0);
+        found
+    }
+
+    fn stamps(random: &mut Random, count: usize, interval: f64) -> Vec<f64> {
+        let mut time = random.uniform() * 0.2;
+        let next = |_| {
+            time += interval * (0.2 + 1.6 * random.uniform());
+            time
+        };
+        (0..count).map(next).collect()
+    }
+
+    #[test]
+    fn pairs_are_those_of_the_whole_stream() {
+        let mut random = Random::new(7);
+        for case in 0..200 {
+            let intervals = [0.02, 0.033, 0.1][case % 3];
+            let colour = stamps(&mut random, 30, 0.033);
+            let depth = stamps(&mut random, 20, intervals);
+            for pairing in [DepthPairing::OneToOne, DepthPairing::Nearest] {
+                let rules = AssociationRules { pairing, ..RULES };
+                let whole = associate(&colour, Some(&depth), None, rules).pairs;
+                assert_eq!(paired_live(&colour, &depth, rules), whole, "{case}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_picture_waits_for_depth_that_may_be_its_own_alone() {
+        let mut pairing = LivePairing::new(RULES, true);
+        pairing.push_colour(Some(0.0), 'a', 0.1);
+        assert_eq!(pairing.next(false), None, "depth may come");
+        pairing.push_depth(Some(0.0), 0, 0.1);
+        assert_eq!(pairing.next(false).and_then(|p| p.depth), Some((0.0, 0)));
+        pairing.push_colour(Some(0.1), 'b', 0.1);
+        pairing.push_depth(Some(0.12), 1, 0.1);
+        assert_eq!(pairing.next(false), None, "the next picture may be nearer");
+        pairing.push_colour(Some(0.13), 'c', 0.1);
+        assert_eq!(pairing.next(false).map(|p| (p.colour.1, p.depth)), Some(('b', None)));
+        assert_eq!(pairing.next(false), None, "depth may come");
+        assert_eq!(pairing.next(true).and_then(|p| p.depth), Some((0.12, 1)), "given up");
+        pairing.push_colour(None, 'd', 0.1);
+        pairing.push_depth(Some(1.0), 2, 0.1);
+        let last = pairing.next(false).expect("far from depth");
+        assert!((last.colour.0 - 0.23).abs() < 1e-12 && last.depth.is_none() && last.is_frame);
+    }
+
+    #[test]
+    fn without_a_depth_track_nothing_waits() {
+        for pairing in [DepthPairing::OneToOne, DepthPairing::Nearest] {
+            let mut pairing =
+                LivePairing::<_, ()>::new(AssociationRules { pairing, ..RULES }, false);
+            pairing.push_colour(Some(0.0), 'a', 0.1);
+            assert!(pairing.next(false).is_some_and(|p| p.is_frame && p.depth.is_none()));
+        }
+    }
+}

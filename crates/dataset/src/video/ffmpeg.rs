@@ -107,7 +107,8 @@ impl Ffmpeg {
         let mut command = self.input_command("level+info", ("-".as_ref(), &at_once), &allowed);
         command.args(["-map", pictures.track.map()]);
         command.args(["-vf", &format!("showinfo,{}", pictures.filter())]);
-        command.args(["-flush_packets", "1", "-f", "rawvideo", "-"]);
+        // On several threads even raw pictures are encoded a picture late.
+        command.args(["-threads", "1", "-flush_packets", "1", "-f", "rawvideo", "-"]);
         self.start(command.stdin(Stdio::piped()).stdout(Stdio::piped()))
     }
 

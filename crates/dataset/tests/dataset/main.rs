@@ -8,3 +8,5 @@ mod own_camera;
 mod scannet;
 mod sequences;
 mod support;
+#[cfg(unix)]
+mod video_depth;
