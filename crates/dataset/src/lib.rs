@@ -2,8 +2,8 @@
 //!
 //! A sequence is recognised by its files, see [`Layout`]: TUM RGB-D, ETH3D SLAM, ScanNet
 //! (extracted, or its `.sens` file), Replica as rendered for NICE-SLAM, 7-Scenes, nerfstudio's
-//! `transforms.json` with depth, plain folders of colour and depth images, and videos (colour
-//! alone, decoded by the program `ffmpeg`).
+//! `transforms.json` with depth, plain folders of colour and depth images, and videos (decoded by
+//! the program `ffmpeg`; a second track of 16-bit grey is depth).
 //!
 //! [`Frame`]s are delivered undistorted, cropped and scaled, with depth in metres.
 //! [`Sequence::camera`] is the pinhole camera of the delivered frames.

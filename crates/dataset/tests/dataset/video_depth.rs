@@ -1,6 +1,6 @@
 //! Videos and streams whose second track is depth, made by ffmpeg.
 
-use super::support::{CAMERA, Folder, HEIGHT, WIDTH, depth_png, png, rgb_png};
+use super::support::{CAMERA, Folder, HEIGHT, WIDTH, depth_png, png, rgb_png, shared_data};
 use i2slam_compute::CancellationToken;
 use i2slam_dataset::{DepthPairing, Frame, LiveSequence, OpenOptions, RecordedSequence, Sequence};
 use std::io::Write;
@@ -322,6 +322,18 @@ fn depth_that_ends_early_holds_up_nothing() {
 
 #[test]
 #[ignore = "needs ffmpeg"]
+fn depth_that_never_comes_is_none() {
+    let folder = pictures(8);
+    let output = format!("{RAW} -frames:v:1 1 -filter:v:1 setpts=PTS+100");
+    let path = video(&folder, "never.nut", ("-framerate 10", &output));
+    let streamed = streamed(&folder, &path, &options(&folder));
+    assert!(streamed.frames.len() == 8);
+    assert!(streamed.frames.iter().all(|(frame, _)| frame.depth.is_none()));
+    assert_as_recorded(&streamed);
+}
+
+#[test]
+#[ignore = "needs ffmpeg"]
 fn streams_with_another_second_track_and_none_are_colour_alone() {
     let folder = pictures(8);
     let colour = folder.join("alone.nut");
@@ -353,5 +365,34 @@ fn streams_are_paired_as_their_recordings() {
         let count = streamed.recorded.sequence.frames_with_depth();
         assert!(streamed.has_depth && count >= 6, "{count}");
         assert_as_recorded(&streamed);
+    }
+}
+
+/// The command of docs/datasets.md.
+#[test]
+#[ignore = "needs ../shared and ffmpeg"]
+fn a_video_of_a_folder_has_its_frames() {
+    let (data, folder) = (shared_data("dining-room"), Folder::new());
+    let path = folder.join("clip.mkv");
+    let input = |name: &str| {
+        format!("-framerate 30 -t 0.65 -pattern_type glob -i {}/{name}/*.png", data.display())
+    };
+    ffmpeg(&format!(
+        "{} {} -map 0:v -map 1:v -c:v ffv1 {}",
+        input("rgb"),
+        input("depth"),
+        path.display()
+    ));
+    let camera = Some(data.join("camera.json"));
+    let options = OpenOptions { camera, frames: Some(0..20), scale: 0.5, ..OpenOptions::default() };
+    let of_video = frames(&Sequence::open(&path, &options).expect("a video"));
+    let of_folder = frames(&Sequence::open(&data, &options).expect("a folder"));
+    assert_eq!((of_video.len(), of_folder.len()), (20, 20));
+    for (video, folder) in of_video.iter().zip(&of_folder) {
+        assert_eq!(video.depth_image(), folder.depth_image());
+        let differences =
+            video.colour.data.iter().zip(&folder.colour.data).map(|(a, b)| (a - b).abs());
+        assert!(differences.fold(0.0, f32::max) < 1.5 / 255.0);
+        assert!((video.timestamp - folder.timestamp).abs() < 1e-3);
     }
 }
