@@ -208,6 +208,11 @@ impl VideoListing {
         if !frame.is_grey16 {
             return Ok(());
         }
+        let (width, height) = frame.size;
+        if width.min(height) < 2 || width.saturating_mul(height) > MAX_PIXELS {
+            let reason = format!("its depth is {width}x{height} px, which cannot be used");
+            return Err(DatasetError::file(path, reason));
+        }
         let pictures = Pictures { track: Track::Depth, size: frame.size };
         let part = until.map_or(Part::All, Part::Seconds);
         let log = ffmpeg.read_log(second, LISTING_FILTER, part)?;
