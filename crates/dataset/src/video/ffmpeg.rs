@@ -116,8 +116,9 @@ impl Ffmpeg {
     /// the second video track too, if there is one.
     pub(super) fn record(&self, stream: &Path, with_depth: bool) -> Result<Child, DatasetError> {
         let allowed = Allowed::stream(stream);
-        // Twenty frames would be read before the first one is handed on, to guess a frame rate.
-        let at_once = ["-fpsprobesize", "0"];
+        // Twenty frames would be read before the first one is handed on, to guess a frame rate, and
+        // decoders that work on several frames at a time are as many frames late.
+        let at_once = ["-fpsprobesize", "0", "-thread_type", "slice"];
         let source = (stream.as_os_str(), &at_once[..]);
         let mut command = self.input_command("level+warning", source, &allowed);
         command.args(["-map", Track::Colour.map()]);
