@@ -31,14 +31,15 @@ pub(crate) fn listen() {
 pub(crate) fn reading<T>(read: impl FnOnce() -> T) -> T {
     READING.store(true, Ordering::SeqCst);
     let result = read();
-    READING.store(false, Ordering::SeqCst);
+    // In this order: a run must not see the signal that ended the stream.
     REQUESTED.store(false, Ordering::SeqCst);
+    READING.store(false, Ordering::SeqCst);
     result
 }
 
-/// Token for the libraries, cancelled by the first signal.
+/// Token for the libraries, cancelled by the first signal that does not end a stream.
 pub(crate) fn cancellation() -> CancellationToken {
-    CancellationToken::when(requested)
+    CancellationToken::when(|| requested() && !READING.load(Ordering::SeqCst))
 }
 
 /// Whether the user asked to stop.

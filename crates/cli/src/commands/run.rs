@@ -3,22 +3,23 @@
 use crate::arguments::{Input, Machine};
 use crate::console::print_status;
 use crate::failure::Failure;
+use crate::interrupt;
 use crate::pose_lines::PoseLines;
 use crate::reconstruction::{self, Job, RenderSelection};
 use clap::{Args, ValueEnum};
 use i2slam::config::{MapKind, line_of_key};
-use i2slam::dataset::{is_video, is_without_depth};
+use i2slam::dataset::{OpenOptions, is_stream, is_video, is_without_depth};
 use i2slam::keyframes::ImportDepth;
-use i2slam::{Config, PoseSource, RunOptions};
+use i2slam::{CancellationToken, Config, PoseSource, RunOptions};
 use i2slam_result::UnitOfLength;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 #[derive(Args, Clone, Debug)]
 pub(crate) struct Run {
-    /// Sequence: a folder in one of the known layouts (docs/datasets.md), a .sens file, a video
-    /// (colour alone; ffmpeg decodes it), or a stream: an address such as rtsp://HOST/PATH, a named
-    /// pipe, - for the standard input
+    /// Sequence: a folder in one of the known layouts (docs/datasets.md), a .sens file, a video, which
+    /// ffmpeg decodes, with depth where its second track is 16-bit grey, or a stream of one: an address
+    /// such as rtsp://HOST/PATH, a named pipe, - for the standard input
     pub(crate) dataset: PathBuf,
     /// Folder for the results
     #[arg(long, value_name = "DIR")]
@@ -31,7 +32,7 @@ pub(crate) struct Run {
     pub(crate) config: Option<PathBuf>,
     #[command(flatten)]
     pub(crate) input: Input,
-    /// Colour alone, as always for a video: poses are estimated from the pictures, or come with
+    /// Colour alone, as always where there is no depth: poses are estimated from the pictures, or come with
     /// --keyframes; poses, exposure and map are refined together [default preset: default-rgb]
     #[arg(long)]
     pub(crate) rgb: bool,
@@ -126,24 +127,53 @@ pub(crate) enum KeyframeDepth {
 }
 
 pub(crate) fn run(arguments: &Run) -> Result<(), Failure> {
-    if is_rgb_by_input(arguments) {
-        if !arguments.machine.quiet {
+    if is_stream(&arguments.dataset) {
+        return run_stream(arguments);
+    }
+    if !arguments.rgb && is_without_depth(&arguments.dataset) {
+        if !arguments.machine.quiet && !is_video(&arguments.dataset) {
             let name = arguments.dataset.display();
             print_status(&format!(
                 "{name} has pictures and no depth: run by colour alone, as with --rgb"
             ));
         }
-        return reconstruct(&Run { rgb: true, ..arguments.clone() });
+        return reconstruction::run(&job(&Run { rgb: true, ..arguments.clone() })?);
     }
-    reconstruct(arguments)
+    reconstruction::run(&job(arguments)?)
 }
 
-/// Whether the dataset has no depth though `--rgb` is not given.
-fn is_rgb_by_input(arguments: &Run) -> bool {
-    !is_rgb(arguments) && is_without_depth(&arguments.dataset)
+/// Runs on a stream: with depth, if there is any.
+fn run_stream(arguments: &Run) -> Result<(), Failure> {
+    let name = arguments.dataset.display();
+    if arguments.keyframes.is_some() {
+        return Err(Failure::Usage(format!(
+            "{name} is a stream: --keyframes goes with a file or a folder"
+        )));
+    }
+    reconstruction::check_output(&arguments.dataset, &arguments.out, arguments.overwrite)?;
+    let settings = settings(arguments)?;
+    let poses = match arguments.rgb {
+        true => PoseSource::colour_alone(),
+        false => PoseSource::with_depth(&settings),
+    };
+    let options = RunOptions::new(settings, poses);
+    // Whether depth gives the camera's unit is known once the stream was seen.
+    let guess_camera = true;
+    let open = OpenOptions { guess_camera, ..arguments.input.open_options(options.open)? };
+    let options = RunOptions { open, ..options };
+    if !arguments.machine.quiet {
+        print_status(&format!(
+            "reading the stream {name} (Ctrl-C ends it, and goes on with what came)"
+        ));
+    }
+    interrupt::listen();
+    let end = CancellationToken::when(interrupt::requested);
+    let live = interrupt::reading(|| options.open_stream(&arguments.dataset, end))?;
+    let arguments = Run { rgb: !live.has_depth(), ..arguments.clone() };
+    reconstruction::run_stream(&job(&arguments)?, live)
 }
 
-fn reconstruct(arguments: &Run) -> Result<(), Failure> {
+fn job(arguments: &Run) -> Result<Job<'_>, Failure> {
     let config = settings(arguments)?;
     arguments.machine.use_threads()?;
     let poses = pose_source(arguments, &config)?;
@@ -152,7 +182,7 @@ fn reconstruct(arguments: &Run) -> Result<(), Failure> {
     let open = arguments.input.open_options(options.open)?;
     let options = RunOptions { open, ..options }.with_camera_of_keyframes();
     let poses = pose_lines(arguments, &options)?;
-    reconstruction::run(&Job {
+    Ok(Job {
         dataset: arguments.dataset.clone(),
         out: arguments.out.clone(),
         options,
@@ -183,7 +213,7 @@ fn pose_lines(arguments: &Run, options: &RunOptions) -> Result<Option<Arc<PoseLi
 
 /// Settings of the preset, replaced by those of the file, then by flags.
 fn settings(arguments: &Run) -> Result<Config, Failure> {
-    let usual = if is_rgb(arguments) { "default-rgb" } else { "default" };
+    let usual = if arguments.rgb { "default-rgb" } else { "default" };
     let preset = arguments.preset.as_deref();
     let config = match &arguments.config {
         Some(file) => Config::from_toml_file(file, preset.or(Some(usual)))?,
@@ -196,7 +226,7 @@ fn settings(arguments: &Run) -> Result<Config, Failure> {
 /// field unless the configuration file or a flag names the map.
 fn with_default_map(mut config: Config, arguments: &Run) -> Config {
     let named = arguments.config.as_deref().is_some_and(names_map_kind);
-    if is_rgb(arguments) && arguments.keyframes.is_some() && config.is_rgb() && !named {
+    if arguments.keyframes.is_some() && config.is_rgb() && !named {
         config.map.kind = MapKind::HashGrid;
     }
     config
@@ -214,14 +244,14 @@ fn pose_source(arguments: &Run, config: &Config) -> Result<PoseSource, Failure> 
     if estimate_distortion {
         refuse_estimate(arguments)?;
     }
-    match (is_rgb(arguments), &arguments.keyframes, config.is_rgb()) {
+    match (arguments.rgb, &arguments.keyframes, config.is_rgb()) {
         (false, _, false) => Ok(PoseSource::with_depth(config)),
         (false, _, true) => {
             Err(Failure::Usage(format!("preset {preset} is for colour alone: add --rgb")))
         }
         (true, _, false) => Err(Failure::Usage(format!(
             "preset {preset} is for RGB-D: {} goes with default-rgb, paper-rgb or paper-rgb-s",
-            if arguments.rgb { "colour alone (--rgb)" } else { "a video, which has no depth," }
+            "colour alone (--rgb, or an input without depth)"
         ))),
         (true, None, true) => Ok(PoseSource::FrontEnd { with_depth: false, estimate_distortion }),
         (true, Some(path), true) => Ok(PoseSource::Files {
@@ -240,8 +270,8 @@ fn pose_source(arguments: &Run, config: &Config) -> Result<PoseSource, Failure> 
 /// Refuses `--distortion estimate` unless pictures alone have to give the camera.
 fn refuse_estimate(arguments: &Run) -> Result<(), Failure> {
     let Input { camera, intrinsics, fov, .. } = &arguments.input;
-    let why = if !is_rgb(arguments) {
-        "goes with --rgb or a video"
+    let why = if !arguments.rgb {
+        "goes with --rgb, or an input without depth"
     } else if arguments.keyframes.is_some() {
         "does not go with --keyframes, whose poses belong to a camera that is known"
     } else if camera.is_some() || intrinsics.is_some() || fov.is_some() {
@@ -258,11 +288,6 @@ fn default_renders(arguments: &Run, config: &Config) -> RenderSelection {
         MapKind::HashGrid if is_video(&arguments.dataset) => RenderSelection::None,
         _ => RenderSelection::All,
     }
-}
-
-/// Whether the run is by colour alone.
-fn is_rgb(arguments: &Run) -> bool {
-    arguments.rgb || is_video(&arguments.dataset)
 }
 
 /// Applies the flags to `config`.

@@ -10,9 +10,9 @@ use crate::ground_truth::GroundTruth;
 use crate::pose_lines::PoseLines;
 use crate::progress::Progress;
 use crate::{interrupt, messages};
-use i2slam::dataset::{RecordedSequence, Sequence, is_stream, is_video};
+use i2slam::dataset::{LiveSequence, RecordedSequence, Sequence, is_video};
 use i2slam::run::{TrackedStream, reconstruct_stream};
-use i2slam::{CancellationToken, PoseSource, RunError, RunOptions, Warning, reconstruct};
+use i2slam::{PoseSource, RunError, RunOptions, Warning, reconstruct};
 use i2slam_result::NAMES;
 use i2slam_storage::{Claim, OutputFolder};
 pub(crate) use pictures::RenderSelection;
@@ -42,49 +42,51 @@ pub(crate) struct Job<'a> {
 impl Job<'_> {
     /// Checks that the result may be written, before anything else is done.
     pub(crate) fn check_output(&self) -> Result<(), Failure> {
-        self.refuse_dataset()?;
-        Ok(OutputFolder::check(&self.out, self.claim())?)
+        check_output(&self.dataset, &self.out, self.overwrite)
     }
+}
 
-    /// Refuses to write into the dataset, as a result has a `camera.json` of its own.
-    fn refuse_dataset(&self) -> Result<(), Failure> {
-        let same_folder = match (self.out.canonicalize(), self.dataset.canonicalize()) {
-            (Ok(folder), Ok(dataset)) => folder == dataset,
-            _ => false,
-        };
-        if same_folder {
-            return Err(Failure::Usage(format!(
-                "--out {} is the dataset itself: its camera.json would be overwritten, choose \
-                 another folder",
-                self.out.display()
-            )));
-        }
-        Ok(())
-    }
+/// Checks that the result of a run may be written to `out`.
+pub(crate) fn check_output(dataset: &Path, out: &Path, overwrite: bool) -> Result<(), Failure> {
+    refuse_dataset(dataset, out)?;
+    Ok(OutputFolder::check(out, claim(overwrite))?)
+}
 
-    fn claim(&self) -> Claim<'static> {
-        Claim { command: "i2slam run", names: NAMES, overwrite: self.overwrite }
+/// Refuses to write into the dataset, as a result has a `camera.json` of its own.
+fn refuse_dataset(dataset: &Path, out: &Path) -> Result<(), Failure> {
+    let same_folder = match (out.canonicalize(), dataset.canonicalize()) {
+        (Ok(folder), Ok(dataset)) => folder == dataset,
+        _ => false,
+    };
+    if same_folder {
+        return Err(Failure::Usage(format!(
+            "--out {} is the dataset itself: its camera.json would be overwritten, choose \
+             another folder",
+            out.display()
+        )));
     }
+    Ok(())
+}
+
+fn claim(overwrite: bool) -> Claim<'static> {
+    Claim { command: "i2slam run", names: NAMES, overwrite }
 }
 
 /// Reconstructs, writes everything, and prints a summary that ends with the path of the report.
 pub(crate) fn run(job: &Job<'_>) -> Result<(), Failure> {
     interrupt::listen();
-    if is_stream(&job.dataset) {
-        return run_stream(job);
-    }
     let dataset = &job.dataset;
     if is_video(dataset) && !job.quiet {
         print_status(&format!("looking through {}", dataset.display()));
     }
     let sequence = job.options.open_sequence(dataset)?;
     job.options.validate(&sequence).map_err(|error| placed(error, job))?;
-    job.refuse_dataset()?;
+    refuse_dataset(&job.dataset, &job.out)?;
     reconstruct_into(output_folder(job)?, job, (dataset, &sequence), None)
 }
 
 fn output_folder(job: &Job<'_>) -> Result<OutputFolder, Failure> {
-    let folder = OutputFolder::replace(&job.out, job.claim())?;
+    let folder = OutputFolder::replace(&job.out, claim(job.overwrite))?;
     messages::note_saved_parts(folder.saved_parts());
     Ok(folder)
 }
@@ -94,12 +96,14 @@ fn reconstruct_into(
     folder: OutputFolder,
     job: &Job<'_>,
     (dataset, sequence): (&Path, &Sequence),
-    tracked: Option<TrackedStream>,
+    tracked: Option<(TrackedStream, Progress)>,
 ) -> Result<(), Failure> {
     let truth = GroundTruth::open(dataset, sequence);
-    // Poses of a stream were written while it came.
-    let poses = job.poses.clone().filter(|_| tracked.is_none());
-    let mut progress = Progress::new(sequence.len(), job.quiet).with_poses(poses);
+    let (tracked, mut progress) = match tracked {
+        // Poses of a stream were written while it came.
+        Some((tracked, progress)) => (Some(tracked), progress.with_poses(None)),
+        None => (None, Progress::new(sequence.len(), job.quiet).with_poses(job.poses.clone())),
+    };
     if job.title.is_some() {
         progress = progress.without_advice();
     }
@@ -156,32 +160,24 @@ fn placed(error: RunError, job: &Job<'_>) -> RunError {
 }
 
 /// Tracks the frames of a stream while they come, and reconstructs it when it has ended.
-fn run_stream(job: &Job<'_>) -> Result<(), Failure> {
-    if let PoseSource::Files { .. } = job.options.poses {
-        return Err(Failure::Usage(format!(
-            "{} is a stream: --keyframes goes with a file or a folder",
-            job.dataset.display()
-        )));
-    }
-    job.check_output()?;
-    if !job.quiet {
-        let name = job.dataset.display();
-        print_status(&format!(
-            "reading the stream {name} (Ctrl-C ends it, and goes on with what came)"
-        ));
-    }
-    let (tracked, recorded) = interrupt::reading(|| track_stream(job))?;
+pub(crate) fn run_stream(job: &Job<'_>, live: LiveSequence) -> Result<(), Failure> {
+    let progress = Progress::new(0, job.quiet).with_poses(job.poses.clone());
+    let (tracked, recorded) = interrupt::reading(|| track_stream(job, live, &progress))?;
     let (path, sequence) = (recorded.path(), &recorded.sequence);
-    reconstruct_into(output_folder(job)?, job, (&path, sequence), Some(tracked))
+    reconstruct_into(output_folder(job)?, job, (&path, sequence), Some((tracked, progress)))
 }
 
-fn track_stream(job: &Job<'_>) -> Result<(TrackedStream, RecordedSequence), Failure> {
-    let end = CancellationToken::when(interrupt::requested);
-    let live = job.options.open_stream(&job.dataset, end)?;
+fn track_stream(
+    job: &Job<'_>,
+    live: LiveSequence,
+    progress: &Progress,
+) -> Result<(TrackedStream, RecordedSequence), Failure> {
+    let live = job.options.reopen_stream(live)?;
     job.options.validate(live.first()).map_err(|error| placed(error, job))?;
-    let progress = Progress::new(0, job.quiet).with_poses(job.poses.clone());
-    let tracked = TrackedStream::track(&live, &job.options, &progress);
-    progress.clear();
+    let tracked = TrackedStream::track(&live, &job.options, progress.clone());
+    if tracked.is_err() {
+        progress.clear();
+    }
     Ok((tracked?, live.finish()?))
 }
 

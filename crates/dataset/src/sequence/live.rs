@@ -58,10 +58,7 @@ impl LiveSequence {
     ) -> Result<Self, DatasetError> {
         options.validate()?;
         let mut recording = Recording::start((stream, !options.colour_only), end)?;
-        // Colour without depth is a frame: depth may begin later.
-        let depth_pairing = DepthPairing::OneToOne;
-        let of_first =
-            OpenOptions { frames: Some(0..1), stride: 1, depth_pairing, ..options.clone() };
+        let of_first = of_first(options);
         let mut tried = 0;
         let first = loop {
             let growing = recording.growing_bytes();
@@ -81,6 +78,17 @@ impl LiveSequence {
             std::thread::sleep(POLL_INTERVAL);
         };
         Ok(Self { recording, options: options.clone(), first })
+    }
+
+    /// The stream with other options, which ask for no depth where those before did not.
+    ///
+    /// # Errors
+    ///
+    /// Options that do not fit.
+    pub fn with_options(self, options: &OpenOptions) -> Result<Self, DatasetError> {
+        options.validate()?;
+        let first = Sequence::open(&self.recording.path(), &of_first(options))?;
+        Ok(Self { options: options.clone(), first, ..self })
     }
 
     /// The stream as if it had its first frame alone: camera, and size of delivered frames.
@@ -133,6 +141,12 @@ impl Sequence {
     fn awaits_second_track(&self) -> bool {
         self.loader.video.as_deref().is_some_and(|video| video.awaits_second_track)
     }
+}
+
+/// Options for the first frame. Colour without depth is one: depth may begin later.
+fn of_first(options: &OpenOptions) -> OpenOptions {
+    let depth_pairing = DepthPairing::OneToOne;
+    OpenOptions { frames: Some(0..1), stride: 1, depth_pairing, ..options.clone() }
 }
 
 impl RecordedSequence {

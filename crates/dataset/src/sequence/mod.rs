@@ -16,7 +16,7 @@ pub(crate) use delivery::delivered_size;
 use crate::camera::{Calibration, Distortion, ExifHints};
 use crate::formats::{DetectedLayout, DroppedFrames, FrameEntry, Layout, Listing, read_trajectory};
 use crate::image::{RecordingCameras, image_size};
-use crate::video::refused_stream;
+use crate::video::{is_stream, is_video, refused_stream};
 use crate::{DatasetError, OpenOptions};
 use checks::{camera_warning, coverage_warning, depth_scale_warning, recording_cameras};
 use delivery::delivery;
@@ -72,8 +72,11 @@ pub struct Sequence {
     pub(crate) is_thinned: bool,
 }
 
-/// Whether a folder holds images, but no depth in any known layout.
+/// Whether a folder holds images, but no depth in any known layout, or a video file no depth track.
 pub fn is_without_depth(path: &Path) -> bool {
+    if is_video(path) && !is_stream(path) {
+        return !crate::video::has_depth_track(path);
+    }
     let found = DetectedLayout::detect(path, false);
     matches!(found, Err(DatasetError::UnknownLayout { has_colour: true, .. }))
 }

@@ -48,6 +48,12 @@ pub fn is_video(path: &Path) -> bool {
     extension.is_some_and(|extension| EXTENSIONS.contains(&extension.as_str())) && !path.is_dir()
 }
 
+/// Whether the second track of a video file is 16-bit grey; false for what cannot be decoded.
+pub(crate) fn has_depth_track(path: &Path) -> bool {
+    let first = Ffmpeg::find().read_log((path, Track::Depth), "showinfo", Part::Frames(1));
+    first.is_ok_and(|log| log.frames.first().is_some_and(|frame| frame.is_grey16))
+}
+
 /// A video whose frames are counted.
 #[derive(Debug)]
 pub(crate) struct Video {

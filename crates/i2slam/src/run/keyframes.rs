@@ -7,6 +7,7 @@ use super::error::RunError;
 use super::forecast::Forecaster;
 use super::observer::{Observer, RunContext, Stage};
 use super::online;
+use super::stream::TrackedFrames;
 use crate::config::{MapKind, TrackingMethod};
 use crate::keyframes::{
     self, BoxedLoader, ImportDepth, ImportOptions, Intrinsics, KeyframeSource, MonocularError,
@@ -68,17 +69,24 @@ fn keyframes_of(
 }
 
 /// Finds the path of the camera from the pictures, with dense depth of the keyframes, and their
-/// lens distortion if asked; pictures by colour alone may have been `tracked` already.
+/// lens distortion if asked; frames of a stream may have been `tracked` already.
 pub(super) fn from_odometry(
     sequence: &Sequence,
-    (estimate_distortion, tracked): (bool, Option<TrackedPictures>),
+    (estimate_distortion, tracked): (bool, Option<TrackedFrames>),
     options: &RunOptions,
     context: &RunContext,
 ) -> Result<Input<'static>, RunError> {
     let size = (sequence.camera.width, sequence.camera.height);
-    let FoundPath { source, mapped } = match online::is_possible(sequence, options) {
-        true => online::find_path(sequence, options, context)?,
-        false => find_path(sequence, (estimate_distortion, tracked), options, context)?,
+    let of_sequence = (sequence.frames_with_depth() > 0, sequence.camera_is_guess);
+    let FoundPath { source, mapped } = match tracked {
+        Some(TrackedFrames::Mapped(frames)) => frames.into_path(sequence, context)?,
+        Some(TrackedFrames::Unmapped(pictures)) => {
+            find_path(sequence, (estimate_distortion, Some(*pictures)), options, context)?
+        }
+        None if online::is_possible(options, of_sequence) => {
+            online::find_path(sequence, options, context)?
+        }
+        None => find_path(sequence, (estimate_distortion, None), options, context)?,
     };
     let found = source.with_pictures(size, |place| picture(sequence, place));
     let camera = CameraEstimate::new(sequence, found.reconstruction());

@@ -186,6 +186,15 @@ impl RunOptions {
         LiveSequence::open(stream, &self.open_options(), end)
     }
 
+    /// A stream that other options have opened, with [`open`](Self::open).
+    ///
+    /// # Errors
+    ///
+    /// As [`LiveSequence::with_options`].
+    pub fn reopen_stream(&self, stream: LiveSequence) -> Result<LiveSequence, DatasetError> {
+        stream.with_options(&self.open_options())
+    }
+
     fn open_options(&self) -> OpenOptions {
         let input = &self.config.input;
         OpenOptions {
@@ -286,8 +295,8 @@ fn reconstruct_tracked(
 ) -> Result<RunOutcome, RunError> {
     options.validate(sequence)?;
     let context = RunContext::new(observer);
-    let was_tracked = tracked.is_some();
-    let tracked = tracked.filter(|tracked| tracked.is_of(sequence)).map(|tracked| tracked.pictures);
+    let was_tracked = tracked.as_ref().is_some_and(|tracked| tracked.frames.is_some());
+    let tracked = tracked.and_then(|tracked| tracked.of_sequence(sequence));
     if was_tracked && tracked.is_none() {
         context.observer.note(
             "frames or time stamps of the stream were missing when it came: it is tracked again",

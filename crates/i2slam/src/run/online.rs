@@ -9,11 +9,11 @@ use super::observer::{Observer, RunContext, Stage};
 use crate::config::{MapKind, TrackingMethod};
 use crate::keyframes::{
     self, BoxedLoader, GivenPictures, MonocularError, MonocularSource, OdometryProgress,
-    OdometryReconstruction, in_usual_unit,
+    OdometryReconstruction, PictureError, in_usual_unit,
 };
 use crate::reconstruction::FrameEstimate;
-use crate::session::{MappedFrames, OnlineMapping, OnlineSession, SessionError};
-use i2slam_dataset::Sequence;
+use crate::session::{MappedFrames, OnlineMapping, OnlineSession, OnlineUpdate, SessionError};
+use i2slam_dataset::{Frame, Sequence};
 use i2slam_geometry::StampedPose;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -21,14 +21,14 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 /// Frames and corrections that wait for the map at most.
 const MAX_WAITING: usize = 32;
 
-/// True if frames are mapped while they come; others are mapped after the last one. By colour alone
-/// depth is estimated with poses, and those known when a frame comes are not good enough: 6 dB on
-/// dining-room.
-pub(super) fn is_possible(sequence: &Sequence, options: &RunOptions) -> bool {
+/// True if frames of a source with depth and a known camera are mapped while they come; others are
+/// mapped after the last one. By colour alone depth is estimated with poses, and those known when a
+/// frame comes are not good enough: 6 dB on dining-room.
+pub(super) fn is_possible(options: &RunOptions, (has_depth, is_guess): (bool, bool)) -> bool {
     let config = &options.config;
     options.poses.uses_depth()
-        && sequence.frames_with_depth() > 0
-        && !sequence.camera_is_guess
+        && has_depth
+        && !is_guess
         && config.tracking.method == TrackingMethod::SecondOrder
         && config.map.kind == MapKind::Gaussian
 }
@@ -40,47 +40,86 @@ pub(super) fn find_path(
     options: &RunOptions,
     context: &RunContext,
 ) -> Result<FoundPath, RunError> {
-    let mapped = Arc::new(MappedCount::new(sequence.len()));
-    let forecaster = Forecaster::of_online(&options.config, sequence);
     let large = sequence.at_least(ODOMETRY_SIDE);
-    let camera = (sequence.camera, sequence.frame_rate);
-    let session = new_session(&KEYFRAMES, options, context, (camera, sequence));
-    let on_mapped = listener(sequence, context, Arc::clone(&mapped), forecaster);
-    let mut online = OnlineSession::of(session, large.camera, on_mapped);
-    let progress = progress(context);
+    let forecaster = Forecaster::of_online(&options.config, sequence);
+    let mut frames = OnlineFrames::start((sequence, &large), options, context, Some(forecaster));
     let is_one_size = large.camera == sequence.camera;
-    let given = GivenPictures::give(sequence.len(), &progress, |place| {
+    let given = GivenPictures::give(sequence.len(), &progress(context), |place| {
         let tracked = picture(&large, place)?;
         let mapped = if is_one_size { tracked.clone() } else { picture(sequence, place)? };
-        online.wait_for_map(MAX_WAITING);
-        let update = online.push_sizes(&tracked, mapped)?;
-        let timestamp = update.timestamp;
-        let pose = update
-            .world_from_camera
-            .map(|world_from_camera| StampedPose { timestamp, world_from_camera });
-        pose.iter().for_each(|pose| context.observer.pose(pose));
+        frames.session.wait_for_map(MAX_WAITING);
+        let update = frames.session.push_sizes(&tracked, mapped)?;
+        update.stamped_pose().iter().for_each(|pose| context.observer.pose(pose));
         Ok(update.is_keyframe)
     });
-    let (path, mapping) = match online.into_path(&progress) {
-        Ok(found) => found,
-        Err(failure) => {
-            let refused = given.refused;
-            return Err(RunError::NoPath(MonocularError::NoPath { failure, refused }));
+    OnlineFrames { given, ..frames }.into_path(sequence, context)
+}
+
+/// Frames that are mapped while they come.
+pub(super) struct OnlineFrames {
+    session: OnlineSession,
+    mapped: Arc<MappedCount>,
+    pub(super) given: GivenPictures,
+    /// Time stamps of the accepted frames [s].
+    pub(super) timestamps: Vec<f64>,
+}
+
+impl OnlineFrames {
+    /// None so far, of a source whose frames are mapped as those of `sequence`, and tracked as those of
+    /// `large`.
+    pub(super) fn start(
+        (sequence, large): (&Sequence, &Sequence),
+        options: &RunOptions,
+        context: &RunContext,
+        forecaster: Option<Forecaster>,
+    ) -> Self {
+        let mapped = Arc::<MappedCount>::default();
+        let camera = (sequence.camera, sequence.frame_rate);
+        let session = new_session(&KEYFRAMES, options, context, (camera, sequence));
+        let on_mapped = listener(sequence, context, Arc::clone(&mapped), forecaster);
+        let session = OnlineSession::of(session, large.camera, on_mapped);
+        Self { session, mapped, given: GivenPictures::default(), timestamps: Vec::new() }
+    }
+
+    /// Tracks the frame of a camera at a position, in the sizes that are tracked and mapped; returns its
+    /// pose, where it is known. One that does not fit is refused.
+    pub(super) fn push(&mut self, position: usize, sizes: (Frame, Frame)) -> Option<StampedPose> {
+        let (tracked, mapped) = sizes;
+        let pushed = self.session.push_from_camera(&tracked, mapped);
+        let pose = pushed.as_ref().ok().and_then(OnlineUpdate::stamped_pose);
+        if pushed.is_ok() {
+            self.timestamps.push(tracked.timestamp);
         }
-    };
-    mapped.total.store(mapping.sent(), Ordering::Relaxed);
-    context.observer.progress(KEYFRAMES.stage, mapped.done(), mapping.sent());
-    let load: BoxedLoader = Box::new(move |place| picture(&large, place));
-    Ok(match finish_mapping(mapping, &path, context) {
-        Some(mapped) => FoundPath {
-            source: MonocularSource::of_path(mapped.path.clone(), given, load),
-            mapped: Some(mapped),
-        },
-        None => FoundPath {
-            source: MonocularSource::of_path(in_usual_unit(path), given, load),
-            mapped: None,
-        },
-    })
+        let pushed = pushed.map(|update| update.is_keyframe).map_err(PictureError::from);
+        self.given.add(position, pushed);
+        pose
+    }
+
+    /// Adjusts all poses of the frames of `sequence` together; the path so far after cancellation.
+    pub(super) fn into_path(
+        self,
+        sequence: &Sequence,
+        context: &RunContext,
+    ) -> Result<FoundPath, RunError> {
+        let Self { session, mapped, given, .. } = self;
+        let (path, mapping) = match session.into_path(&progress(context)) {
+            Ok(found) => found,
+            Err(failure) => {
+                let refused = given.refused;
+                return Err(RunError::NoPath(MonocularError::NoPath { failure, refused }));
+            }
+        };
+        mapped.total.store(mapping.sent(), Ordering::Relaxed);
+        context.observer.progress(KEYFRAMES.stage, mapped.done(), mapping.sent());
+        let large = sequence.at_least(ODOMETRY_SIDE);
+        let load: BoxedLoader = Box::new(move |place| picture(&large, place));
+        let mapped = finish_mapping(mapping, &path, context);
+        let path = match &mapped {
+            Some(mapped) => mapped.path.clone(),
+            None => in_usual_unit(path),
+        };
+        Ok(FoundPath { source: MonocularSource::of_path(path, given, load), mapped })
+    }
 }
 
 /// The mapped frames, their poses corrected to the path; `None` if all frames have to be mapped after
@@ -109,16 +148,13 @@ fn finish_mapping(
 }
 
 /// Number of frames that were mapped, of all that will be as far as is known.
+#[derive(Default)]
 struct MappedCount {
     done: AtomicUsize,
     total: AtomicUsize,
 }
 
 impl MappedCount {
-    fn new(total: usize) -> Self {
-        Self { done: AtomicUsize::new(0), total: AtomicUsize::new(total) }
-    }
-
     fn done(&self) -> usize {
         self.done.load(Ordering::Relaxed)
     }
@@ -129,17 +165,19 @@ fn listener(
     sequence: &Sequence,
     context: &RunContext,
     mapped: Arc<MappedCount>,
-    mut forecaster: Forecaster,
+    mut forecaster: Option<Forecaster>,
 ) -> impl FnMut(&FrameEstimate) + Send + 'static {
     let observer: Arc<dyn Observer> = Arc::clone(&context.observer);
     let indices: Vec<usize> = sequence.entries.iter().map(|entry| entry.index).collect();
+    mapped.total.store(indices.len(), Ordering::Relaxed);
     let mut keyframes = 0;
     move |estimate| {
         let done = mapped.done.fetch_add(1, Ordering::Relaxed) + 1;
         observer.frame(estimate, done, mapped.total.load(Ordering::Relaxed).max(done));
         keyframes += usize::from(estimate.keyframe);
         let through = indices.partition_point(|index| *index <= estimate.index);
-        forecaster.after(through, keyframes).iter().for_each(|f| observer.forecast(f));
+        let forecast = forecaster.as_mut().and_then(|f| f.after(through, keyframes));
+        forecast.iter().for_each(|forecast| observer.forecast(forecast));
     }
 }
 

@@ -1,12 +1,15 @@
-//! Streams: frames are tracked while they come, and mapped when the stream has ended.
+//! Streams: frames are tracked while they come. Those with depth are mapped, too; others are mapped
+//! when the stream has ended.
 
 use super::keyframes::{ODOMETRY_SIDE, intrinsics};
-use super::observer::{Observer, Stage};
+use super::observer::{Observer, RunContext, Stage};
+use super::online::{self, OnlineFrames};
 use super::{PoseSource, RunError, RunOptions};
-use crate::keyframes::{self, TrackedPictures};
-use i2slam_dataset::{LiveSequence, Sequence};
+use crate::keyframes::{self, GivenPictures, TrackedPictures};
+use i2slam_dataset::{Frame, LiveSequence, Sequence};
+use i2slam_geometry::StampedPose;
 
-/// A stream by colour alone whose frames were tracked while they came.
+/// A stream whose frames were tracked while they came.
 ///
 /// ```no_run
 /// use i2slam::run::{TrackedStream, reconstruct_stream};
@@ -14,49 +17,105 @@ use i2slam_dataset::{LiveSequence, Sequence};
 ///
 /// let options = RunOptions::colour_alone();
 /// let live = options.open_stream("rtsp://camera/1".as_ref(), CancellationToken::default())?;
-/// let tracked = TrackedStream::track(&live, &options, &())?;
+/// let tracked = TrackedStream::track(&live, &options, ())?;
 /// let recorded = live.finish()?;
 /// let outcome = reconstruct_stream(&recorded.sequence, tracked, &options, ())?;
 /// println!("{}", outcome.reconstruction.map);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 pub struct TrackedStream {
-    pub(super) pictures: TrackedPictures,
+    pub(super) frames: Option<TrackedFrames>,
+}
+
+/// Frames that a front end was given.
+pub(super) enum TrackedFrames {
+    /// To be mapped when the path of all is known.
+    Unmapped(Box<TrackedPictures>),
+    /// Mapped while they came.
+    Mapped(Box<OnlineFrames>),
 }
 
 impl TrackedStream {
-    /// Tracks the frames of a stream until it ends. `observer` sees every pose as soon as it is known,
-    /// and cannot cancel: the stream can be ended.
+    /// Tracks the frames of a stream until it ends, and maps them where depth is measured and the
+    /// camera is known. `observer` sees every pose as soon as it is known; its token does not end the
+    /// stream, but the mapping of frames. Where poses do not come from the front end, nothing is done
+    /// before the stream has ended.
     ///
     /// # Errors
     ///
-    /// Poses that do not come from the front end by colour alone, and a decoder that cannot be
-    /// started.
+    /// A decoder that cannot be started.
     pub fn track(
         live: &LiveSequence,
         options: &RunOptions,
-        observer: &dyn Observer,
+        observer: impl Observer + 'static,
     ) -> Result<Self, RunError> {
-        let PoseSource::FrontEnd { with_depth: false, estimate_distortion } = options.poses else {
-            let (preset, with_depth) = (options.config.preset.clone(), true);
-            return Err(RunError::Preset { preset, with_depth });
+        let estimate_distortion = match &options.poses {
+            PoseSource::FrontEnd { estimate_distortion, .. } => *estimate_distortion,
+            PoseSource::Map | PoseSource::Files { .. } => return Ok(Self { frames: None }),
         };
-        let large = live.first().at_least(ODOMETRY_SIDE);
-        let mut pictures = TrackedPictures::new(intrinsics(&large, estimate_distortion));
-        for (position, frame) in live.frames(&large)?.enumerate() {
-            pictures.push(position, &frame).iter().for_each(|pose| observer.pose(pose));
-            let keyframes = pictures.given.keyframes;
-            let stage = keyframes::Stage::Tracking { keyframes };
-            observer.progress(Stage::Odometry(stage), position + 1, 0);
+        let (first, large) = (live.first(), live.first().at_least(ODOMETRY_SIDE));
+        let context = RunContext::new(observer);
+        let camera = intrinsics(&large, estimate_distortion);
+        let is_mapped = online::is_possible(options, (live.has_depth(), first.camera_is_guess));
+        let mut frames = match is_mapped {
+            true => {
+                let sizes = (first, &large);
+                let frames = OnlineFrames::start(sizes, options, &context, None);
+                TrackedFrames::Mapped(Box::new(frames))
+            }
+            false => TrackedFrames::Unmapped(Box::new(TrackedPictures::new(camera))),
+        };
+        // Decoded twice where the map is made of smaller pictures.
+        let is_one_size = !is_mapped || large.camera == first.camera;
+        let mut smaller = if is_one_size { None } else { Some(live.frames(first)?) };
+        for (position, tracked) in live.frames(&large)?.enumerate() {
+            let mapped = smaller.as_mut().map(Iterator::next);
+            let mapped = mapped.unwrap_or_else(|| Some(tracked.clone()));
+            let Some(mapped) = mapped else { break };
+            let pose = frames.push(position, (tracked, mapped));
+            pose.iter().for_each(|pose| context.observer.pose(pose));
+            let stage = frames.stage();
+            context.observer.progress(stage, position + 1, 0);
         }
-        Ok(Self { pictures })
+        Ok(Self { frames: Some(frames) })
     }
 
-    /// True if all frames of the recorded sequence were tracked with the same time stamps. Stamps that
+    /// The frames, if all of the recorded sequence were tracked with the same time stamps. Stamps that
     /// are missing in the stream are interpolated once it has ended, and differ.
-    pub(super) fn is_of(&self, sequence: &Sequence) -> bool {
-        let TrackedPictures { given, timestamps, .. } = &self.pictures;
+    pub(super) fn of_sequence(self, sequence: &Sequence) -> Option<TrackedFrames> {
         let times = sequence.entries.iter().map(|entry| &entry.timestamp);
-        given.refused.is_empty() && times.eq(timestamps)
+        self.frames
+            .filter(|frames| frames.given().refused.is_empty() && times.eq(frames.timestamps()))
+    }
+}
+
+impl TrackedFrames {
+    fn push(&mut self, position: usize, sizes: (Frame, Frame)) -> Option<StampedPose> {
+        match self {
+            Self::Unmapped(pictures) => pictures.push(position, &sizes.0),
+            Self::Mapped(frames) => frames.push(position, sizes),
+        }
+    }
+
+    fn given(&self) -> &GivenPictures {
+        match self {
+            Self::Unmapped(pictures) => &pictures.given,
+            Self::Mapped(frames) => &frames.given,
+        }
+    }
+
+    fn timestamps(&self) -> &[f64] {
+        match self {
+            Self::Unmapped(pictures) => &pictures.timestamps,
+            Self::Mapped(frames) => &frames.timestamps,
+        }
+    }
+
+    fn stage(&self) -> Stage {
+        let keyframes = self.given().keyframes;
+        match self {
+            Self::Unmapped(_) => Stage::Odometry(keyframes::Stage::Tracking { keyframes }),
+            Self::Mapped(_) => Stage::Online,
+        }
     }
 }

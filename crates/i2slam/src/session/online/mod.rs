@@ -72,6 +72,14 @@ pub struct OnlineUpdate {
     pub corrections: BTreeMap<usize, Pose<f64>>,
 }
 
+impl OnlineUpdate {
+    /// Pose and time stamp of the frame, where the pose is known.
+    pub(crate) fn stamped_pose(&self) -> Option<StampedPose> {
+        let timestamp = self.timestamp;
+        self.world_from_camera.map(|world_from_camera| StampedPose { timestamp, world_from_camera })
+    }
+}
+
 impl OnlineSession {
     /// A session on frames of `camera`, taken from a video of `frame_rate` frames per second.
     pub fn new(config: Config, camera: Camera<f64>, frame_rate: f64) -> Self {
@@ -111,12 +119,22 @@ impl OnlineSession {
     /// A frame that does not fit the camera, or whose time stamp does not follow: the session stays
     /// as it was.
     pub fn push(&mut self, frame: Frame) -> Result<OnlineUpdate, PictureError> {
-        let tracking = Arc::clone(&self.tracking);
-        let _held = tracking.lock().unwrap_or_else(PoisonError::into_inner);
-        self.push_sizes(&frame.clone(), frame)
+        self.push_from_camera(&frame.clone(), frame)
     }
 
     /// [`push`](Self::push) of a frame in the sizes that are tracked and mapped.
+    pub(crate) fn push_from_camera(
+        &mut self,
+        tracked: &Frame,
+        mapped: Frame,
+    ) -> Result<OnlineUpdate, PictureError> {
+        let tracking = Arc::clone(&self.tracking);
+        let _held = tracking.lock().unwrap_or_else(PoisonError::into_inner);
+        self.push_sizes(tracked, mapped)
+    }
+
+    /// [`push_from_camera`](Self::push_from_camera) of a frame from a file, which the map does not wait
+    /// for.
     pub(crate) fn push_sizes(
         &mut self,
         tracked: &Frame,
