@@ -60,8 +60,9 @@ pub struct FrontEnd {
 pub struct FrameUpdate {
     /// Its index among the accepted pictures.
     pub frame: usize,
-    /// `world_from_camera` at mid-exposure, where it is known. The world is the first keyframe; the
-    /// unit is the metre from the moment on when enough depth was read, and arbitrary before.
+    /// `world_from_camera` at mid-exposure, where it is known. With depth the world is the first
+    /// keyframe, and the unit the metre from the moment on when enough depth was read. By colour alone
+    /// both are arbitrary; corrections leave them where they fit the poses given before best.
     pub pose: Option<Pose<f64>>,
     /// Status of the pose.
     pub status: TrackingStatus,
@@ -96,9 +97,9 @@ impl FrontEnd {
 
     /// Tracks points into the next picture, and registers it to the map so far: planes R, G, B in
     /// [0, 1], or one plane of brightness; timestamp [s]; measured depth of the same size, if there is
-    /// one. Its pose is known from the moment on when the map has started: at once with depth, and
-    /// after some motion by colour alone, where a guessed camera counts until [`finish`](Self::finish)
-    /// has found it. With depth and a guessed camera no pose is known before.
+    /// one. Its pose is known at once with depth. By colour alone it is from the moment on when a
+    /// keyframe has changed the path by less than 5 % of its extent; a guessed camera counts until
+    /// [`finish`](Self::finish) has found it. With depth and a guessed camera no pose is known before.
     ///
     /// Depth taken more than a tenth of a second and more than a frame interval from its picture is
     /// left out, and told ([`DepthNotInTime`](crate::Warning::DepthNotInTime)).

@@ -103,6 +103,7 @@ mod relocalize {
 
 mod online {
     pub(crate) mod online_map;
+    pub(crate) mod path_alignment;
     pub(crate) mod revisits;
 }
 

@@ -6,6 +6,7 @@
 
 use crate::depth::readings::{read_depth_at_prediction, read_depth_in};
 use crate::depth::scale::scale_to_readings;
+use crate::online::path_alignment::{PosePair, align_path, path_change};
 use crate::online::revisits::{Revisit, find_revisit};
 use crate::register::dense_constraints::{RECENT_KEYFRAMES, RecentKeyframes};
 use crate::register::initialization::initialize;
@@ -32,6 +33,13 @@ use std::sync::Arc;
 const INITIALIZATION_WINDOW: usize = 12;
 /// Frames after which the readout is looked for.
 const READOUT_ESTIMATES: [usize; 6] = [6, 10, 20, 30, 60, 120];
+/// Keyframes up to which all are adjusted with every new one by colour alone: paths bend most while
+/// they are short.
+const MAX_ALWAYS_ADJUSTED_KEYFRAMES: usize = 30;
+/// Relative change of the path by a keyframe and its adjustment, below which poses are given by
+/// colour alone. Before, translations may be noise: where a camera hardly moved, factors of 2 to 7
+/// were seen.
+const MAX_SETTLED_CHANGE: f64 = 0.05;
 /// Frames up to which another readout starts the map anew: rows were some pixels off.
 const MAX_RESTART_FRAMES: usize = 30;
 
@@ -63,6 +71,8 @@ pub(crate) struct OnlineMap {
     followers: BTreeMap<usize, Vec<usize>>,
     /// True if the focal length is a guess, which is adjusted with all keyframes.
     adjusts_focal: bool,
+    /// True once a keyframe hardly changed the path. Measured depth needs no such proof.
+    is_settled: bool,
 }
 
 impl OnlineMap {
@@ -71,6 +81,7 @@ impl OnlineMap {
         Self {
             state,
             adjusts_focal,
+            is_settled: false,
             poses: Vec::new(),
             failed: FailedPairs::default(),
             recent_keyframes: RecentKeyframes::default(),
@@ -105,7 +116,8 @@ impl OnlineMap {
             }
             self.followers.entry(self.reference).or_default().push(frame);
         }
-        self.poses.push(self.state.poses[own]);
+        let is_known = self.is_settled || self.state.has_depth();
+        self.poses.push(self.state.poses[own].filter(|_| is_known));
         self.status()
     }
 
@@ -185,7 +197,9 @@ impl OnlineMap {
     fn status(&self) -> TrackingStatus {
         match self.poses.last().copied().flatten() {
             Some(_) => TrackingStatus::Tracked,
-            None if self.is_started() => TrackingStatus::Lost,
+            None if self.is_settled || (self.is_started() && self.state.has_depth()) => {
+                TrackingStatus::Lost
+            }
             None => TrackingStatus::Initializing,
         }
     }
@@ -247,7 +261,8 @@ impl OnlineMap {
         state.with_keyframes_alone(|state| {
             state.triangulate_missing_in(frame);
             let has_grown = before.len() as f64 >= GLOBAL_ADJUSTMENT_GROWTH * *adjusted_at as f64;
-            match is_rescaled || has_grown {
+            let is_short = !state.has_depth() && before.len() <= MAX_ALWAYS_ADJUSTED_KEYFRAMES;
+            match is_rescaled || has_grown || is_short {
                 true => {
                     *adjusted_at = before.len();
                     adjust_globally(state, adjusts_focal);
@@ -256,6 +271,41 @@ impl OnlineMap {
             }
         });
         move_with_keyframes(state, &before, &self.followers);
+        self.settle(&before, interval);
+        self.keep_world();
+    }
+
+    /// Starts the map of few keyframes by colour alone anew from the best pair of all, as long as
+    /// keyframes change the path: the pair that was there first may have had too little parallax.
+    fn settle(&mut self, before: &[(usize, Pose<f64>)], interval: f64) {
+        if self.is_settled || self.state.has_depth() {
+            return;
+        }
+        if before.len() <= INITIALIZATION_WINDOW {
+            let timestamps = Arc::clone(&self.state.timestamps);
+            let other = match self.state.readout == 0.0 {
+                true => self.restarted(|_| {}),
+                false => self.restarted(|state| initialize_rows(state, &timestamps)),
+            };
+            self.replace_if_better(other, (&timestamps, interval), 1.0);
+        }
+        let now = |(frame, was): &(usize, Pose<f64>)| Some((self.state.poses[*frame]?, *was));
+        let pairs: Vec<PosePair> = before.iter().filter_map(now).collect();
+        self.is_settled = path_change(&pairs).is_some_and(|change| change < MAX_SETTLED_CHANGE);
+    }
+
+    /// Moves the map by colour alone to the world and the unit of length in which poses were given.
+    fn keep_world(&mut self) {
+        if self.state.has_depth() {
+            return;
+        }
+        let pair =
+            |(now, given): (&Option<Pose<f64>>, &Option<Pose<f64>>)| Some(((*now)?, (*given)?));
+        let pairs: Vec<PosePair> =
+            self.state.poses.iter().zip(&self.poses).filter_map(pair).collect();
+        if let Some(back) = align_path(&pairs) {
+            self.state.transform(&back);
+        }
     }
 
     /// Looks for the readout, and adjusts the path to it: in the first frames by a map with the one
@@ -270,12 +320,10 @@ impl OnlineMap {
                 adjust_globally(state, false);
             });
             move_with_keyframes(&mut self.state, &before, &self.followers);
+            self.keep_world();
             return;
         }
-        let found = self.restarted(|state| {
-            let (camera, progress) = (state.camera, state.progress.clone());
-            state.readout = initialize_readout(&mut state.tracks, &camera, &timestamps, &progress);
-        });
+        let found = self.restarted(|state| initialize_rows(state, &timestamps));
         if !self.is_started() {
             // At the end of the range there is no minimum, and no map yet to tell.
             if found.state.readout.abs() < MAX_READOUT {
@@ -369,6 +417,12 @@ fn correct_rows(state: &mut SfmState, frame: usize, interval: f64) {
     let timestamps = Arc::clone(&state.timestamps);
     let readout = state.readout * interval;
     correct_observations_in(state, frame, &timestamps, (readout, interval));
+}
+
+/// Finds the readout that explains the rotations best, and corrects the rows of all observations.
+fn initialize_rows(state: &mut SfmState, timestamps: &[f64]) {
+    let (camera, progress) = (state.camera, state.progress.clone());
+    state.readout = initialize_readout(&mut state.tracks, &camera, timestamps, &progress);
 }
 
 /// Keyframes with a pose, in order.

@@ -86,12 +86,13 @@ fn repeated_pictures_stay_where_the_first_was() {
     assert!(error < 0.01, "{error}");
 }
 
+/// The second keyframe starts a map, which the third one proves.
 #[test]
-fn by_colour_alone_frames_have_poses_from_the_first_parallax_on() {
+fn by_colour_alone_frames_have_poses_once_a_keyframe_hardly_changes_the_path() {
     let found = updates(&path(), false, |_| false);
     let started = found.iter().position(|update| update.status == TrackingStatus::Tracked);
     let started = started.expect("the map starts");
-    assert!((1..FRAMES / 2).contains(&started), "{started}");
+    assert!((1..3 * FRAMES / 4).contains(&started), "{started}");
     assert!(
         found[..started].iter().all(|update| {
             update.pose.is_none() && update.status == TrackingStatus::Initializing
@@ -99,7 +100,7 @@ fn by_colour_alone_frames_have_poses_from_the_first_parallax_on() {
     );
     assert!(found[started..].iter().all(|update| update.pose.is_some()));
     let error = online_error(&found, &path(), false);
-    assert!(error < 0.03, "{error}");
+    assert!(error < 0.02, "{error}");
 }
 
 /// With depth a guess gives no pose: its readings would fit no landmark.
@@ -109,7 +110,7 @@ fn a_guessed_camera_counts_by_colour_alone() {
     let guess = Intrinsics::Guess(Camera { fx: 1.1 * known.fx, fy: 1.1 * known.fy, ..known });
     let found = updates_of(guess, &path, false, |_| false);
     let posed = found.iter().filter(|update| update.pose.is_some()).count();
-    assert!(2 * posed > FRAMES, "{posed}");
+    assert!(4 * posed > FRAMES, "{posed}");
     let error = online_error(&found, &path, false);
     assert!(error < 0.1, "{error}");
     let found = updates_of(guess, &path, true, |_| false);
@@ -119,17 +120,17 @@ fn a_guessed_camera_counts_by_colour_alone() {
 #[test]
 fn frames_behind_a_covered_lens_are_lost_and_the_place_is_found_again() {
     // The camera comes back to where it was covered.
-    let path: Vec<Pose<f64>> = (0..16).chain(6..22).map(moving).collect();
+    let path: Vec<Pose<f64>> = (0..22).chain(12..28).map(moving).collect();
     for with_depth in [true, false] {
-        let found = updates(&path, with_depth, |i| (16..20).contains(&i));
+        let found = updates(&path, with_depth, |i| (22..26).contains(&i));
         let lost = |i: usize| found[i].status == TrackingStatus::Lost && found[i].pose.is_none();
-        assert!((16..20).all(lost), "{:?}", &found[14..22]);
+        assert!((22..26).all(lost), "{:?}", &found[20..28]);
         // New points have a depth by colour alone only with the second keyframe that sees them.
-        let again = if with_depth { 21 } else { 28 };
+        let again = if with_depth { 27 } else { 34 };
         assert!(
-            (again..32).all(|i| found[i].status == TrackingStatus::Tracked),
+            (again..38).all(|i| found[i].status == TrackingStatus::Tracked),
             "{:?}",
-            &found[20..]
+            &found[26..]
         );
         let error = online_error(&found, &path, with_depth);
         assert!(error < 0.05, "{error}");

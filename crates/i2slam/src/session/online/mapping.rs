@@ -150,7 +150,7 @@ impl OnlineMapping {
     ) -> BTreeMap<usize, Pose<f64>> {
         let is_keyframe = update.is_keyframe;
         self.waiting.push_back(WaitingFrame { number: update.frame, picture, is_keyframe });
-        if self.gauge.is_none() {
+        if self.gauge.is_none() && update.pose.is_some() {
             self.gauge = self.first_gauge(front_end);
         }
         let Some(gauge) = self.gauge else {
