@@ -73,7 +73,7 @@ pub(crate) struct Run {
     /// Seed of all random choices; the same seed gives the same bytes
     #[arg(long, value_name = "N")]
     pub(crate) seed: Option<u64>,
-    /// Memory of the run, about [GB]: pictures beyond a third of it wait in a file; no result depends on
+    /// Memory of the run, about [GB]: pictures beyond a quarter of it wait in a file; no result depends on
     /// it
     #[arg(long, value_name = "GB")]
     pub(crate) memory: Option<f64>,
@@ -150,14 +150,16 @@ fn run_stream(arguments: &Run) -> Result<(), Failure> {
             "{name} is a stream: --keyframes goes with a file or a folder"
         )));
     }
-    reconstruction::check_output(&arguments.dataset, &arguments.out, arguments.overwrite)?;
     let settings = settings(arguments)?;
     let poses = match arguments.rgb {
         true => PoseSource::colour_alone(),
         false => PoseSource::with_depth(&settings),
     };
     let options = RunOptions::new(settings, poses);
-    // Whether depth gives the camera's unit is known once the stream was seen.
+    // What lies in the way is said before a stream is read that may have no end.
+    pose_lines(arguments, &options)?;
+    reconstruction::check_output(&arguments.dataset, &arguments.out, arguments.overwrite)?;
+    // With depth a camera is needed, which is asked for once depth was seen.
     let guess_camera = true;
     let open = OpenOptions { guess_camera, ..arguments.input.open_options(options.open)? };
     let options = RunOptions { open, ..options };

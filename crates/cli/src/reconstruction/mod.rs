@@ -10,7 +10,7 @@ use crate::ground_truth::GroundTruth;
 use crate::pose_lines::PoseLines;
 use crate::progress::Progress;
 use crate::{interrupt, messages};
-use i2slam::dataset::{LiveSequence, RecordedSequence, Sequence, is_video};
+use i2slam::dataset::{DatasetError, LiveSequence, RecordedSequence, Sequence, is_video};
 use i2slam::run::{TrackedStream, reconstruct_stream};
 use i2slam::{PoseSource, RunError, RunOptions, Warning, reconstruct};
 use i2slam_result::NAMES;
@@ -172,7 +172,14 @@ fn track_stream(
     live: LiveSequence,
     progress: &Progress,
 ) -> Result<(TrackedStream, RecordedSequence), Failure> {
-    let live = job.options.reopen_stream(live)?;
+    let live = job.options.reopen_stream(live).map_err(|error| match error {
+        DatasetError::NoCamera { .. } => Failure::Usage(format!(
+            "{} has depth, with which the camera must be known: give --intrinsics, --camera or --fov, \
+             or --rgb for colour alone",
+            job.dataset.display()
+        )),
+        error => error.into(),
+    })?;
     job.options.validate(live.first()).map_err(|error| placed(error, job))?;
     let tracked = TrackedStream::track(&live, &job.options, progress.clone());
     if tracked.is_err() {

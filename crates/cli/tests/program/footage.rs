@@ -13,21 +13,23 @@ pub(crate) const HEIGHT: usize = 120;
 pub(crate) const FOCAL: f64 = 130.0;
 
 /// Writes `FILE.words` to standard error, or `FILE.rgb` to standard output where raw video is asked
-/// for, FILE being what stands behind `-i`. A stream holds the name of such a file, and is handed
+/// for, FILE being what stands behind `-i`, with `.depth` behind it for the second track. A stream holds the name of such a file, and is handed
 /// on as it is, and decoded from standard input once the line is there; `http://host/NAME` is the file NAME
 /// beside the script, and does not end where there is a `NAME.endless`.
 const SCRIPT: &str = r#"#!/bin/sh
-raw= nut=
+raw= nut= track=
 while [ $# -gt 0 ]; do
   case "$1" in
     -i) file=$2; shift;;
     rawvideo) raw=1;;
     nut) nut=1;;
+    0:V:1) track=.depth;;
   esac
   shift
 done
 if [ "$nut" ] && [ "$raw" ]; then
   read -r file
+  file=$file$track
   cat "$file.words" >&2
   exec cat "$file.rgb"
 fi
@@ -41,6 +43,11 @@ if [ "$nut" ]; then
   exit
 fi
 if [ -s "$file" ]; then file=$(cat "$file"); fi
+file=$file$track
+if [ "$track" ] && [ ! -e "$file.words" ]; then
+  echo "[fatal] Stream map '0:V:1' matches no streams." >&2
+  exit 1
+fi
 if [ "$raw" ]; then exec cat "$file.rgb"; fi
 cat "$file.words" >&2
 "#;
@@ -65,19 +72,30 @@ impl View {
 
     /// Bytes R G B of a wall with a step in depth.
     fn picture(self) -> Vec<u8> {
+        (0..WIDTH * HEIGHT)
+            .flat_map(|pixel| {
+                let [x, y, _] = self.seen(pixel);
+                [texture(x, y, self.scene); 3]
+            })
+            .collect()
+    }
+
+    /// Two bytes of depth for each pixel [mm].
+    fn depth(self) -> Vec<u8> {
+        let millimetres = |pixel| (1000.0 * self.seen(pixel)[2]).round() as u16;
+        (0..WIDTH * HEIGHT).flat_map(|pixel| millimetres(pixel).to_le_bytes()).collect()
+    }
+
+    /// Place on the wall that a pixel shows, and its depth [m].
+    fn seen(self, pixel: usize) -> [f64; 3] {
         let (sin, cos) = self.turned.sin_cos();
-        let mut bytes = Vec::new();
-        for pixel in 0..WIDTH * HEIGHT {
-            let across = ((pixel % WIDTH) as f64 + 0.5 - 80.0) / FOCAL;
-            let down = ((pixel / WIDTH) as f64 + 0.5 - 60.0) / FOCAL;
-            let [across, down] = straight([across, down], self.k1);
-            let ray = [cos * across + sin, down, cos - sin * across];
-            let at = |z: f64| (self.x + ray[0] / ray[2] * z, ray[1] / ray[2] * z);
-            let near = at(2.0);
-            let (x, y) = if near.1 > 0.1 { near } else { at(3.5) };
-            bytes.extend([texture(x, y, self.scene); 3]);
-        }
-        bytes
+        let across = ((pixel % WIDTH) as f64 + 0.5 - 80.0) / FOCAL;
+        let down = ((pixel / WIDTH) as f64 + 0.5 - 60.0) / FOCAL;
+        let [across, down] = straight([across, down], self.k1);
+        let ray = [cos * across + sin, down, cos - sin * across];
+        let at = |z: f64| [self.x + ray[0] / ray[2] * z, ray[1] / ray[2] * z, z / ray[2]];
+        let near = at(2.0);
+        if near[1] > 0.1 { near } else { at(3.5) }
     }
 }
 
@@ -138,6 +156,17 @@ impl Footage {
         fs::write(path.with_extension("mp4.words"), words).expect("room");
         fs::write(path.with_extension("mp4.rgb"), frames).expect("room");
         fs::write(&path, "").expect("room");
+        path
+    }
+
+    /// A [video](Self::video) with depth as its second track [mm].
+    pub(crate) fn video_with_depth(&self, name: &str, views: &[(u32, View)]) -> PathBuf {
+        let path = self.video(name, views);
+        let words = fs::read_to_string(path.with_extension("mp4.words")).expect("words");
+        let depth: Vec<u8> = views.iter().flat_map(|(_, view)| view.depth()).collect();
+        fs::write(path.with_extension("mp4.depth.words"), words.replace("yuv420p", "gray16le"))
+            .expect("room");
+        fs::write(path.with_extension("mp4.depth.rgb"), depth).expect("room");
         path
     }
 

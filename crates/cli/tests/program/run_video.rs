@@ -235,7 +235,7 @@ fn what_cannot_be_meant_is_refused() {
     refused(&["--intrinsics", "100", "100"], "four numbers FX FY CX CY");
     refused(&["--fov", "200"], "below 180 degrees");
     refused(&["--frames", "7..9"], "frames 0..5");
-    refused(&["--preset", "paper-tum"], "a video, which has no depth");
+    refused(&["--preset", "paper-tum"], "an input without depth) goes with default-rgb");
     footage
         .run(&footage.scratch.join("none.mp4"), &[])
         .exits_with(1)
@@ -341,7 +341,8 @@ fn a_lens_is_looked_for_only_where_it_can_be() {
     let out = footage.scratch.join("out");
     let refused =
         |more: &[&'static str]| i2slam!("run", folder, "--out", out; with(more)).exits_with(2);
-    refused(&[]).stderr_contains("--distortion estimate goes with --rgb or a video");
+    refused(&[])
+        .stderr_contains("--distortion estimate goes with --rgb, or an input without depth");
     refused(&["--rgb"]).stderr_contains("camera.json");
     assert!(!out.exists());
 }

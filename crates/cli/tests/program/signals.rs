@@ -146,6 +146,34 @@ fn an_address_a_pipe_and_the_standard_input_are_as_good_as_a_file() {
     assert!(footage.is_tidy());
 }
 
+/// A stream with depth gives poses in metres while frames come, and the path of the file.
+#[test]
+fn a_stream_with_depth_is_mapped_while_it_comes() {
+    let footage = Footage::new("stream-depth");
+    let video = footage.video_with_depth("walk.mp4", &views(14, 0.06));
+    let flow = footage.scratch.join("flow");
+    fs::write(flow, format!("{}\n", video.to_str().expect("a name"))).expect("room");
+    let run = |out: &str, source: &Path, more: &[&str]| {
+        Ran::of(&mut footage.quick(out, source, &[&FLAGS[..], more].concat())).exits_with(0)
+    };
+    let address = Path::new("http://host/flow");
+    run("file", &video, &[]);
+    let live = run("live", address, &["--poses", "-"]).stderr_contains("tracking and mapping");
+    let lines: Vec<&str> = live.out.lines().filter(|line| !line.starts_with('#')).collect();
+    assert_eq!(lines.len(), 14, "{}", live.out);
+    let x = |line: &str| line.split(' ').nth(1).and_then(|x| x.parse().ok()).unwrap_or(f64::NAN);
+    let moved = x(lines[13]) - x(lines[0]);
+    assert!((moved - 13.0 * 0.06).abs() < 0.02, "{moved}");
+    for name in ["trajectory.txt", "trajectory_online.txt"] {
+        let [file, live] = ["file", "live"].map(|out| footage.scratch.join(out).join(name));
+        assert!(fs::read(file).expect(name) == fs::read(live).expect(name), "{name}");
+    }
+    let camera = Ran::of(&mut footage.quick("none", address, &[])).exits_with(2);
+    camera.stderr_contains("--fov");
+    run("rgb", address, &["--rgb"]).stderr_contains("tracking points");
+    assert!(footage.is_tidy());
+}
+
 #[test]
 fn poses_are_written_while_frames_come() {
     let footage = Footage::new("stream-poses");

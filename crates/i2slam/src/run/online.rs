@@ -85,6 +85,10 @@ impl OnlineFrames {
     /// pose, where it is known. One that does not fit is refused.
     pub(super) fn push(&mut self, position: usize, sizes: (Frame, Frame)) -> Option<StampedPose> {
         let (tracked, mapped) = sizes;
+        if let [first] = self.timestamps[..] {
+            let rate = Some((tracked.timestamp - first).recip());
+            rate.filter(|rate| *rate > 0.0).iter().for_each(|r| self.session.set_frame_rate(*r));
+        }
         let pushed = self.session.push_from_camera(&tracked, mapped);
         let pose = pushed.as_ref().ok().and_then(OnlineUpdate::stamped_pose);
         if pushed.is_ok() {

@@ -108,6 +108,12 @@ impl Session {
         self.state.cancellation = cancellation;
     }
 
+    /// Sets the frame rate [1/s] of a map of Gaussians before its first frame.
+    pub(crate) fn set_frame_rate(&mut self, frame_rate: f64) {
+        self.frame_rate = frame_rate;
+        self.tracker = FrameTracker::new(frame_rate, &self.config.input);
+    }
+
     /// Sets the folder for a file of pictures that are beyond `memory`, before the first frame. It is
     /// that of the system for temporary files otherwise.
     pub fn set_scratch_folder(&mut self, folder: &Path) {

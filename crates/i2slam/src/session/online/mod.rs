@@ -108,6 +108,11 @@ impl OnlineSession {
         self.mapping.session().set_valid_mask(valid_mask);
     }
 
+    /// Sets the frame rate [1/s] before the second frame: a frame is mapped when the next has come.
+    pub(crate) fn set_frame_rate(&mut self, frame_rate: f64) {
+        self.mapping.session().set_frame_rate(frame_rate);
+    }
+
     /// Tracks a frame, and hands frames to the map as soon as those after them have come.
     ///
     /// It never waits for the map; the map waits for it, between two steps, and that time counts in
