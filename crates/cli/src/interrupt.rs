@@ -26,15 +26,23 @@ pub(crate) fn listen() {
     }
 }
 
-/// Reads a stream that may have no end: Ctrl-C ends `read`, which polls [`requested`], and not the
-/// run.
-pub(crate) fn reading<T>(read: impl FnOnce() -> T) -> T {
-    READING.store(true, Ordering::SeqCst);
-    let result = read();
-    // In this order: a run must not see the signal that ended the stream.
-    REQUESTED.store(false, Ordering::SeqCst);
-    READING.store(false, Ordering::SeqCst);
-    result
+/// A stream that may have no end is read: Ctrl-C ends the reading, which polls [`requested`], and not
+/// the run.
+pub(crate) struct Reading(());
+
+impl Reading {
+    pub(crate) fn start() -> Self {
+        READING.store(true, Ordering::SeqCst);
+        Self(())
+    }
+}
+
+impl Drop for Reading {
+    fn drop(&mut self) {
+        // In this order: a run must not see the signal that ended the stream.
+        REQUESTED.store(false, Ordering::SeqCst);
+        READING.store(false, Ordering::SeqCst);
+    }
 }
 
 /// Token for the libraries, cancelled by the first signal that does not end a stream.

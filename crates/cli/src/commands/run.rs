@@ -3,7 +3,7 @@
 use crate::arguments::{Input, Machine};
 use crate::console::print_status;
 use crate::failure::Failure;
-use crate::interrupt;
+use crate::interrupt::{self, Reading};
 use crate::pose_lines::PoseLines;
 use crate::reconstruction::{self, Job, RenderSelection};
 use clap::{Args, ValueEnum};
@@ -150,8 +150,12 @@ fn run_stream(arguments: &Run) -> Result<(), Failure> {
             "{name} is a stream: --keyframes goes with a file or a folder"
         )));
     }
+    if arguments.distortion == Distortion::Estimate {
+        refuse_estimate(&Run { rgb: true, ..arguments.clone() })?;
+    }
     let settings = settings(arguments)?;
-    let poses = match arguments.rgb {
+    let is_rgb = arguments.rgb || settings.is_rgb();
+    let poses = match is_rgb {
         true => PoseSource::colour_alone(),
         false => PoseSource::with_depth(&settings),
     };
@@ -159,10 +163,12 @@ fn run_stream(arguments: &Run) -> Result<(), Failure> {
     // What lies in the way is said before a stream is read that may have no end.
     pose_lines(arguments, &options)?;
     reconstruction::check_output(&arguments.dataset, &arguments.out, arguments.overwrite)?;
+    let open = arguments.input.open_options(options.open)?;
     // With depth a camera is needed, which is asked for once depth was seen.
-    let guess_camera = true;
-    let open = OpenOptions { guess_camera, ..arguments.input.open_options(options.open)? };
-    let options = RunOptions { open, ..options };
+    let Input { camera, intrinsics, fov, .. } = &arguments.input;
+    let is_given = camera.is_some() || intrinsics.is_some() || fov.is_some();
+    let guess_camera = open.guess_camera || !is_given;
+    let options = RunOptions { open: OpenOptions { guess_camera, ..open }, ..options };
     if !arguments.machine.quiet {
         print_status(&format!(
             "reading the stream {name} (Ctrl-C ends it, and goes on with what came)"
@@ -170,9 +176,10 @@ fn run_stream(arguments: &Run) -> Result<(), Failure> {
     }
     interrupt::listen();
     let end = CancellationToken::when(interrupt::requested);
-    let live = interrupt::reading(|| options.open_stream(&arguments.dataset, end))?;
+    let reading = Reading::start();
+    let live = options.open_stream(&arguments.dataset, end)?;
     let arguments = Run { rgb: !live.has_depth(), ..arguments.clone() };
-    reconstruction::run_stream(&job(&arguments)?, live)
+    reconstruction::run_stream(&job(&arguments)?, live, reading)
 }
 
 fn job(arguments: &Run) -> Result<Job<'_>, Failure> {

@@ -7,6 +7,7 @@ mod write;
 use crate::console::{print, print_status};
 use crate::failure::Failure;
 use crate::ground_truth::GroundTruth;
+use crate::interrupt::Reading;
 use crate::pose_lines::PoseLines;
 use crate::progress::Progress;
 use crate::{interrupt, messages};
@@ -160,9 +161,14 @@ fn placed(error: RunError, job: &Job<'_>) -> RunError {
 }
 
 /// Tracks the frames of a stream while they come, and reconstructs it when it has ended.
-pub(crate) fn run_stream(job: &Job<'_>, live: LiveSequence) -> Result<(), Failure> {
+pub(crate) fn run_stream(
+    job: &Job<'_>,
+    live: LiveSequence,
+    reading: Reading,
+) -> Result<(), Failure> {
     let progress = Progress::new(0, job.quiet).with_poses(job.poses.clone());
-    let (tracked, recorded) = interrupt::reading(|| track_stream(job, live, &progress))?;
+    let (tracked, recorded) = track_stream(job, live, &progress)?;
+    drop(reading);
     let (path, sequence) = (recorded.path(), &recorded.sequence);
     reconstruct_into(output_folder(job)?, job, (&path, sequence), Some((tracked, progress)))
 }

@@ -82,7 +82,7 @@ fn unregistered(
     let path = entries.first().map(|entry| entry.colour.as_path()).unwrap_or(Path::new(""));
     let reason = format!(
         "its second video track, depth, is {}x{} px, expected {}x{} as the first, colour: depth has to \
-         be registered to colour, pixel by pixel",
+         be registered to colour, pixel by pixel; --rgb leaves it out",
         depth.0, depth.1, colour.0, colour.1
     );
     DatasetError::file(path, reason)

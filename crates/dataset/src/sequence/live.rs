@@ -20,11 +20,11 @@ const TRACK_INTERVAL: Duration = Duration::from_millis(2);
 /// A colour picture waits for depth while fewer than this have come after it, or depth comes.
 const LATER_FRAMES: usize = 2;
 
-/// Time without a depth picture after which depth does not come any more. Decoders take turns with
-/// other threads, so that one may be late though its picture is in the file.
+/// Time for which depth was waited for in vain, after which none comes any more. Decoders take turns
+/// with other threads, so that one may be late though its picture is in the file.
 const SILENCE: Duration = Duration::from_secs(1);
 
-/// Most colour pictures that wait for depth, however late that is.
+/// Colour pictures that wait for depth, at most.
 const MAX_WAITING: usize = 32;
 
 /// A stream that is being recorded: an address, a named pipe, or the standard input (see
@@ -80,13 +80,20 @@ impl LiveSequence {
         Ok(Self { recording, options: options.clone(), first })
     }
 
-    /// The stream with other options, which ask for no depth where those before did not.
+    /// The stream with other options.
     ///
     /// # Errors
     ///
-    /// Options that do not fit.
+    /// Options that do not fit, or ask for depth where those before were for colour alone.
     pub fn with_options(self, options: &OpenOptions) -> Result<Self, DatasetError> {
+        if *options == self.options {
+            return Ok(self);
+        }
         options.validate()?;
+        if self.options.colour_only && !options.colour_only {
+            let reason = "the stream is being recorded without depth";
+            return Err(DatasetError::option("colour_only", reason));
+        }
         let first = Sequence::open(&self.recording.path(), &of_first(options))?;
         Ok(Self { options: options.clone(), first, ..self })
     }
@@ -116,7 +123,7 @@ impl LiveSequence {
             pairing: LivePairing::new(video_rules(&self.options), depth.is_some()),
             colour,
             depth,
-            depth_came: Instant::now(),
+            silence: Duration::ZERO,
             like: like.clone(),
             options: self.options.clone(),
             next: 0,
@@ -164,8 +171,8 @@ pub struct LiveFrameStream {
     colour: LiveFrames,
     depth: Option<LiveFrames>,
     pairing: LivePairing<Vec<u8>, Arc<Vec<u8>>>,
-    /// When the last depth picture came.
-    depth_came: Instant,
+    /// Time that depth was waited for since the last picture of it.
+    silence: Duration,
     like: Sequence,
     options: OpenOptions,
     /// Index of the next frame.
@@ -207,8 +214,8 @@ impl LiveFrameStream {
     fn next_paired(&mut self) -> Option<Paired<Vec<u8>, Arc<Vec<u8>>>> {
         loop {
             let waiting = self.pairing.waiting();
-            let is_silent = waiting > LATER_FRAMES && self.depth_came.elapsed() > SILENCE;
-            if let Some(paired) = self.pairing.next(is_silent || waiting >= MAX_WAITING) {
+            let is_silent = waiting > LATER_FRAMES && self.silence > SILENCE;
+            if let Some(paired) = self.pairing.next(is_silent) {
                 return Some(paired);
             }
             if self.pairing.waiting() == 0 && self.pairing.colour_has_ended {
@@ -221,12 +228,13 @@ impl LiveFrameStream {
     /// Takes what has come of both tracks, or comes soon. Neither waits for the other.
     fn receive(&mut self) {
         let interval = DEFAULT_FRAME_RATE.recip();
-        let pairing = &mut self.pairing;
+        let (pairing, begun) = (&mut self.pairing, Instant::now());
+        let mut has_come = false;
         if let Some(depth) = self.depth.as_ref().filter(|_| !pairing.depth_has_ended) {
             match depth.next_within(TRACK_INTERVAL) {
                 Ok((own, bytes)) => {
                     pairing.push_depth(own, Arc::new(bytes), interval);
-                    self.depth_came = Instant::now();
+                    has_come = true;
                 }
                 Err(ended) => pairing.depth_has_ended = ended == RecvTimeoutError::Disconnected,
             }
@@ -237,5 +245,7 @@ impl LiveFrameStream {
                 Err(ended) => pairing.colour_has_ended = ended == RecvTimeoutError::Disconnected,
             }
         }
+        // The time that the receiver of frames takes is none that depth was waited for.
+        self.silence = if has_come { Duration::ZERO } else { self.silence + begun.elapsed() };
     }
 }

@@ -254,8 +254,13 @@ pub struct RunOutcome {
 
 /// Whether a sequence with depth is too small for the front end, and tracked against the map.
 fn is_small(sequence: &Sequence) -> bool {
+    sequence.len() < MIN_FRONT_END_FRAMES || has_small_pictures(sequence)
+}
+
+/// Whether pictures with depth are too small for the front end.
+fn has_small_pictures(sequence: &Sequence) -> bool {
     let (width, height) = odometry_size(sequence);
-    sequence.len() < MIN_FRONT_END_FRAMES || width.min(height) < MIN_FRONT_END_SIDE
+    width.min(height) < MIN_FRONT_END_SIDE
 }
 
 /// Reconstructs a sequence: camera path, exposure and map. `observer` is `()`, or sees progress

@@ -33,6 +33,9 @@ pub(super) fn is_possible(options: &RunOptions, (has_depth, is_guess): (bool, bo
         && config.map.kind == MapKind::Gaussian
 }
 
+/// Logarithm of the ratio of frame rates up to which a map counts on the right one.
+const MAX_RATE_CHANGE: f64 = 0.2;
+
 /// Finds the path of the camera, and maps frames while they come. After cancellation the path so far,
 /// with what was mapped.
 pub(super) fn find_path(
@@ -60,8 +63,10 @@ pub(super) struct OnlineFrames {
     session: OnlineSession,
     mapped: Arc<MappedCount>,
     pub(super) given: GivenPictures,
-    /// Time stamps of the accepted frames [s].
-    pub(super) timestamps: Vec<f64>,
+    /// Time stamp of the first frame [s].
+    first: Option<f64>,
+    /// That the map counts on [1/s].
+    frame_rate: f64,
 }
 
 impl OnlineFrames {
@@ -78,22 +83,25 @@ impl OnlineFrames {
         let session = new_session(&KEYFRAMES, options, context, (camera, sequence));
         let on_mapped = listener(sequence, context, Arc::clone(&mapped), forecaster);
         let session = OnlineSession::of(session, large.camera, on_mapped);
-        Self { session, mapped, given: GivenPictures::default(), timestamps: Vec::new() }
+        let (given, frame_rate) = (GivenPictures::default(), sequence.frame_rate);
+        Self { session, mapped, given, first: None, frame_rate }
     }
 
     /// Tracks the frame of a camera at a position, in the sizes that are tracked and mapped; returns its
     /// pose, where it is known. One that does not fit is refused.
     pub(super) fn push(&mut self, position: usize, sizes: (Frame, Frame)) -> Option<StampedPose> {
         let (tracked, mapped) = sizes;
-        if let [first] = self.timestamps[..] {
-            let rate = Some((tracked.timestamp - first).recip());
-            rate.filter(|rate| *rate > 0.0).iter().for_each(|r| self.session.set_frame_rate(*r));
+        match self.first {
+            None => self.first = Some(tracked.timestamp),
+            // No frame is mapped before.
+            Some(first) if position == 1 && tracked.timestamp > first => {
+                self.frame_rate = (tracked.timestamp - first).recip();
+                self.session.set_frame_rate(self.frame_rate);
+            }
+            Some(_) => {}
         }
         let pushed = self.session.push_from_camera(&tracked, mapped);
         let pose = pushed.as_ref().ok().and_then(OnlineUpdate::stamped_pose);
-        if pushed.is_ok() {
-            self.timestamps.push(tracked.timestamp);
-        }
         let pushed = pushed.map(|update| update.is_keyframe).map_err(PictureError::from);
         self.given.add(position, pushed);
         pose
@@ -105,7 +113,7 @@ impl OnlineFrames {
         sequence: &Sequence,
         context: &RunContext,
     ) -> Result<FoundPath, RunError> {
-        let Self { session, mapped, given, .. } = self;
+        let Self { session, mapped, given, frame_rate, .. } = self;
         let (path, mapping) = match session.into_path(&progress(context)) {
             Ok(found) => found,
             Err(failure) => {
@@ -117,7 +125,17 @@ impl OnlineFrames {
         context.observer.progress(KEYFRAMES.stage, mapped.done(), mapping.sent());
         let large = sequence.at_least(ODOMETRY_SIDE);
         let load: BoxedLoader = Box::new(move |place| picture(&large, place));
-        let mapped = finish_mapping(mapping, &path, context);
+        let is_rate_right = (frame_rate / sequence.frame_rate).ln().abs() < MAX_RATE_CHANGE;
+        let mapped = if is_rate_right || context.cancellation.is_cancelled() {
+            finish_mapping(mapping, &path, context)
+        } else {
+            context.observer.note(&format!(
+                "the first two frames came at {frame_rate:.1} frames a second, all at {:.1}: they are \
+                 mapped again",
+                sequence.frame_rate
+            ));
+            None
+        };
         let path = match &mapped {
             Some(mapped) => mapped.path.clone(),
             None => in_usual_unit(path),

@@ -4,7 +4,7 @@
 use super::keyframes::{ODOMETRY_SIDE, intrinsics};
 use super::observer::{Observer, RunContext, Stage};
 use super::online::{self, OnlineFrames};
-use super::{PoseSource, RunError, RunOptions};
+use super::{PoseSource, RunError, RunOptions, has_small_pictures};
 use crate::keyframes::{self, GivenPictures, TrackedPictures};
 use i2slam_dataset::{Frame, LiveSequence, Sequence};
 use i2slam_geometry::StampedPose;
@@ -25,6 +25,8 @@ use i2slam_geometry::StampedPose;
 /// ```
 pub struct TrackedStream {
     pub(super) frames: Option<TrackedFrames>,
+    /// Time stamps of all frames and their depth [s].
+    timestamps: Vec<(f64, Option<f64>)>,
 }
 
 /// Frames that a front end was given.
@@ -51,9 +53,12 @@ impl TrackedStream {
     ) -> Result<Self, RunError> {
         let estimate_distortion = match &options.poses {
             PoseSource::FrontEnd { estimate_distortion, .. } => *estimate_distortion,
-            PoseSource::Map | PoseSource::Files { .. } => return Ok(Self { frames: None }),
+            PoseSource::Map | PoseSource::Files { .. } => return Ok(Self::untracked()),
         };
         let (first, large) = (live.first(), live.first().at_least(ODOMETRY_SIDE));
+        if options.poses.uses_depth() && has_small_pictures(first) {
+            return Ok(Self::untracked());
+        }
         let context = RunContext::new(observer);
         let camera = intrinsics(&large, estimate_distortion);
         let is_mapped = online::is_possible(options, (live.has_depth(), first.camera_is_guess));
@@ -68,25 +73,42 @@ impl TrackedStream {
         // Decoded twice where the map is made of smaller pictures.
         let is_one_size = !is_mapped || large.camera == first.camera;
         let mut smaller = if is_one_size { None } else { Some(live.frames(first)?) };
+        let mut timestamps = Vec::new();
         for (position, tracked) in live.frames(&large)?.enumerate() {
-            let mapped = smaller.as_mut().map(Iterator::next);
-            let mapped = mapped.unwrap_or_else(|| Some(tracked.clone()));
+            let stamps = timestamps_of(&tracked);
+            let mapped = match &mut smaller {
+                Some(smaller) => smaller.next().filter(|mapped| timestamps_of(mapped) == stamps),
+                None => Some(tracked.clone()),
+            };
+            // One of the two went on without its depth: what was recorded has it.
             let Some(mapped) = mapped else { break };
+            timestamps.push(stamps);
             let pose = frames.push(position, (tracked, mapped));
             pose.iter().for_each(|pose| context.observer.pose(pose));
-            let stage = frames.stage();
-            context.observer.progress(stage, position + 1, 0);
+            context.observer.progress(frames.stage(), position + 1, 0);
         }
-        Ok(Self { frames: Some(frames) })
+        Ok(Self { frames: Some(frames), timestamps })
     }
 
-    /// The frames, if all of the recorded sequence were tracked with the same time stamps. Stamps that
-    /// are missing in the stream are interpolated once it has ended, and differ.
-    pub(super) fn of_sequence(self, sequence: &Sequence) -> Option<TrackedFrames> {
-        let times = sequence.entries.iter().map(|entry| &entry.timestamp);
-        self.frames
-            .filter(|frames| frames.given().refused.is_empty() && times.eq(frames.timestamps()))
+    fn untracked() -> Self {
+        Self { frames: None, timestamps: Vec::new() }
     }
+
+    /// The frames, if all of the recorded sequence were tracked with the same time stamps and depth.
+    /// Stamps that are missing in the stream are interpolated once it has ended, and differ.
+    pub(super) fn of_sequence(self, sequence: &Sequence) -> Option<TrackedFrames> {
+        let stamps = sequence.entries.iter().map(|entry| {
+            let depth = entry.depth.as_ref().filter(|_| sequence.frames_with_depth() > 0);
+            (entry.timestamp, depth.map(|depth| depth.timestamp))
+        });
+        let is_same = stamps.eq(self.timestamps);
+        self.frames.filter(|frames| is_same && frames.given().refused.is_empty())
+    }
+}
+
+/// Time stamps of a frame and its depth [s].
+fn timestamps_of(frame: &Frame) -> (f64, Option<f64>) {
+    (frame.timestamp, frame.depth.as_ref().map(|depth| depth.timestamp))
 }
 
 impl TrackedFrames {
@@ -101,13 +123,6 @@ impl TrackedFrames {
         match self {
             Self::Unmapped(pictures) => &pictures.given,
             Self::Mapped(frames) => &frames.given,
-        }
-    }
-
-    fn timestamps(&self) -> &[f64] {
-        match self {
-            Self::Unmapped(pictures) => &pictures.timestamps,
-            Self::Mapped(frames) => &frames.timestamps,
         }
     }
 

@@ -46,7 +46,7 @@ const MAX_RESTART_FRAMES: usize = 30;
 /// Knowledge of the pose of a frame at the time when it came.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TrackingStatus {
-    /// There is no map yet.
+    /// There is no map yet, or by colour alone none that holds.
     Initializing,
     /// Registered to the map.
     Tracked,
@@ -258,11 +258,12 @@ impl OnlineMap {
         let before = posed_keyframes(state);
         let adjusts_focal = self.adjusts_focal && before.len() >= MIN_FOCAL_FRAMES;
         let adjusted_at = &mut self.adjusted_keyframes;
+        let has_grown = before.len() as f64 >= GLOBAL_ADJUSTMENT_GROWTH * *adjusted_at as f64;
+        let is_short = !state.has_depth() && before.len() <= MAX_ALWAYS_ADJUSTED_KEYFRAMES;
+        let adjusts_all = is_rescaled || has_grown || is_short;
         state.with_keyframes_alone(|state| {
             state.triangulate_missing_in(frame);
-            let has_grown = before.len() as f64 >= GLOBAL_ADJUSTMENT_GROWTH * *adjusted_at as f64;
-            let is_short = !state.has_depth() && before.len() <= MAX_ALWAYS_ADJUSTED_KEYFRAMES;
-            match is_rescaled || has_grown || is_short {
+            match adjusts_all {
                 true => {
                     *adjusted_at = before.len();
                     adjust_globally(state, adjusts_focal);
@@ -272,7 +273,10 @@ impl OnlineMap {
         });
         move_with_keyframes(state, &before, &self.followers);
         self.settle(&before, interval);
-        self.keep_world();
+        // Where few are adjusted, the others keep the world.
+        if adjusts_all {
+            self.keep_world();
+        }
     }
 
     /// Starts the map of few keyframes by colour alone anew from the best pair of all, as long as
@@ -370,6 +374,7 @@ impl OnlineMap {
                 other.move_to_world_of(&self.state);
                 *self = other;
             }
+            self.keep_world();
         }
     }
 

@@ -84,7 +84,8 @@ pub(crate) fn adjust_all_frames(state: &mut SfmState, adjust_focal: bool) {
 
 /// Adjusts all frames where [`adjust_path`] did not: jointly, or in turn with the landmarks. The latter
 /// in long sequences with depth, whose dense constraints tie frames to keyframes, and in very long ones
-/// by colour alone, where bends of the keyframes stay, but a joint adjustment takes over an hour.
+/// by colour alone, where bends of the keyframes stay, but a joint adjustment takes too long (not done
+/// after 35 minutes for 5 000 frames).
 pub(crate) fn adjust_remaining_frames(state: &mut SfmState, adjust_focal: bool) {
     let is_very_long = state.posed_frames().len() > MAX_JOINT_POSES;
     if is_very_long || (state.is_metric() && is_long(state)) {

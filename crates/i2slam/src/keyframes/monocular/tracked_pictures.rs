@@ -52,15 +52,12 @@ impl GivenPictures {
 pub(crate) struct TrackedPictures {
     front_end: FrontEnd,
     pub(crate) given: GivenPictures,
-    /// Time stamps of the accepted pictures [s].
-    pub(crate) timestamps: Vec<f64>,
 }
 
 impl TrackedPictures {
     /// None so far.
     pub(crate) fn new(intrinsics: Intrinsics) -> Self {
-        let (front_end, given) = (FrontEnd::new(intrinsics), GivenPictures::default());
-        Self { front_end, given, timestamps: Vec::new() }
+        Self { front_end: FrontEnd::new(intrinsics), given: GivenPictures::default() }
     }
 
     /// Tracks `count` pictures, until `progress` is cancelled: `load` reads the one at a position,
@@ -93,7 +90,6 @@ impl TrackedPictures {
     fn track_next(&mut self, picture: &Frame) -> Result<(bool, Option<StampedPose>), PictureError> {
         let (depth, timestamp) = (depth_picture(picture), picture.timestamp);
         let update = self.front_end.push(&picture.colour, timestamp, depth.as_ref())?;
-        self.timestamps.push(timestamp);
         let pose =
             update.pose.map(|world_from_camera| StampedPose { timestamp, world_from_camera });
         Ok((update.is_keyframe, pose))
