@@ -103,7 +103,7 @@ impl LiveSequence {
         &self.first
     }
 
-    /// Whether the stream has a depth track. Its first frame may have no depth all the same.
+    /// True if the stream has a depth track. Its first frame may lack depth.
     pub fn has_depth(&self) -> bool {
         self.first.loader.video.as_deref().is_some_and(Video::has_depth)
     }
@@ -144,7 +144,7 @@ impl LiveSequence {
 }
 
 impl Sequence {
-    /// Whether a video has a second track of which nothing has come yet.
+    /// True while no picture of a second video track can be decoded.
     fn awaits_second_track(&self) -> bool {
         self.loader.video.as_deref().is_some_and(|video| video.awaits_second_track)
     }

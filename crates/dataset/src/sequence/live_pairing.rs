@@ -15,7 +15,7 @@ pub(super) struct LivePairing<C, D> {
     depth: VecDeque<(f64, D)>,
     /// Stamp of the last colour picture that waits no longer [s].
     before: Option<f64>,
-    /// Whether no more comes.
+    /// True once the track has ended.
     pub(super) colour_has_ended: bool,
     pub(super) depth_has_ended: bool,
 }
@@ -25,7 +25,7 @@ pub(super) struct LivePairing<C, D> {
 pub(super) struct Paired<C, D> {
     pub(super) colour: (f64, C),
     pub(super) depth: Option<(f64, D)>,
-    /// Whether it is a frame: not where [`DepthPairing::Nearest`] finds no depth.
+    /// True for a frame; false where [`DepthPairing::Nearest`] finds no depth.
     pub(super) is_frame: bool,
 }
 
@@ -77,7 +77,7 @@ impl<C, D: Clone> LivePairing<C, D> {
         Some(Paired { colour: self.colour.pop_front()?, depth, is_frame })
     }
 
-    /// Whether what comes does not change the depth of the colour picture that has waited longest.
+    /// True if later pictures cannot change the depth of the first colour picture that waits.
     fn knows_depth(&self, stamp: f64, gives_up: bool) -> bool {
         let last = self.depth.back().map_or(f64::NEG_INFINITY, |(stamp, _)| *stamp);
         if last < stamp && !self.depth_has_ended && !gives_up {

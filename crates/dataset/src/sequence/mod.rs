@@ -72,7 +72,8 @@ pub struct Sequence {
     pub(crate) is_thinned: bool,
 }
 
-/// Whether a folder holds images, but no depth in any known layout, or a video file no depth track.
+/// True for a folder of images without depth in any known layout, and for a video file without a depth
+/// track.
 pub fn is_without_depth(path: &Path) -> bool {
     if is_video(path) && !is_stream(path) {
         return !crate::video::has_depth_track(path);
