@@ -1,5 +1,7 @@
 //! Association by time: colour with depth images, poses with images.
 
+use super::DroppedFrames;
+use crate::text::counted;
 use crate::{DepthPairing, OpenOptions};
 use i2slam_geometry::nearest_stamp;
 
@@ -42,6 +44,15 @@ impl Association {
     /// Number of frames with depth.
     pub(crate) fn with_depth(&self) -> usize {
         self.pairs.iter().filter(|(_, depth)| depth.is_some()).count()
+    }
+
+    /// Counts of the colour images that are not in the associated stream.
+    pub(super) fn dropped(&self) -> DroppedFrames {
+        DroppedFrames {
+            without_depth: self.without_depth,
+            without_pose: self.without_pose,
+            too_close: self.too_close,
+        }
     }
 }
 
@@ -124,6 +135,24 @@ pub(crate) fn pair_mutually_nearest(first: &[f64], second: &[f64], tolerance: f6
         }
     }
     found
+}
+
+/// Warnings about colour images that are not in the associated stream, and why.
+pub(super) fn time_warnings(dropped: &DroppedFrames, rules: AssociationRules) -> Vec<String> {
+    let AssociationRules { tolerance, minimum_gap, .. } = rules;
+    let all = [
+        (dropped.without_depth, "colour image", format!("no depth image within {tolerance} s")),
+        (dropped.without_pose, "frame", format!("no ground-truth pose within {tolerance} s")),
+        (
+            dropped.too_close,
+            "frame",
+            format!(
+                "no more than {minimum_gap} s after the frame before (minimum_gap; 0 keeps all)"
+            ),
+        ),
+    ];
+    let some = all.into_iter().filter(|(count, ..)| *count > 0);
+    some.map(|(count, word, why)| format!("{} left out: {why}", counted(count, word))).collect()
 }
 
 #[cfg(test)]

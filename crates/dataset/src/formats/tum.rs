@@ -1,10 +1,10 @@
 //! TUM RGB-D and ETH3D SLAM: stamped image lists, trajectories, published calibrations.
 
-use super::association::{Association, AssociationRules, associate};
+use super::association::{Association, AssociationRules, associate, time_warnings};
 use super::poses::{UNIT_TOLERANCE, unit_length_error};
-use super::{DepthEntry, DetectedLayout, DroppedFrames, FrameEntry, Layout, Listing};
+use super::{DepthEntry, DetectedLayout, FrameEntry, Layout, Listing};
 use crate::camera::{Calibration, Distortion, FormatDefaults};
-use crate::text::{counted, data_lines, is_present, parse_number, parse_numbers, read_text};
+use crate::text::{data_lines, is_present, parse_number, parse_numbers, read_text};
 use crate::{DatasetError, OpenOptions};
 use i2slam_geometry::{Pose, Rotation, StampedPose, Trajectory, Vec3};
 use std::fmt::Write;
@@ -164,7 +164,7 @@ pub(super) fn list_by_time(
         return Err(DatasetError::file(folder, reason));
     }
     let entries = entries(&association, &stamped);
-    let dropped = dropped_frames(&association);
+    let dropped = association.dropped();
     warnings.extend(time_warnings(&dropped, rules));
     let listing = Listing::new(layout, entries);
     Ok(Listing { dropped, is_thinned: true, ground_truth, warnings, ..listing })
@@ -180,15 +180,6 @@ fn entries(association: &Association, stamped: &StampedImages) -> Vec<FrameEntry
     association.pairs.iter().enumerate().map(entry).collect()
 }
 
-/// Counts of the colour images that are not in the associated stream.
-pub(super) fn dropped_frames(association: &Association) -> DroppedFrames {
-    DroppedFrames {
-        without_depth: association.without_depth,
-        without_pose: association.without_pose,
-        too_close: association.too_close,
-    }
-}
-
 /// Path of the folder's ground truth, if there is a file.
 pub(super) fn ground_truth(folder: &Path) -> Option<PathBuf> {
     ["groundtruth.txt", "pose.txt"].iter().map(|name| folder.join(name)).find(|p| is_present(p))
@@ -202,23 +193,6 @@ fn pose_stamps(path: &Path, warnings: &mut Vec<String>) -> Option<Vec<f64>> {
             None
         }
     }
-}
-
-pub(super) fn time_warnings(dropped: &DroppedFrames, rules: AssociationRules) -> Vec<String> {
-    let AssociationRules { tolerance, minimum_gap, .. } = rules;
-    let all = [
-        (dropped.without_depth, "colour image", format!("no depth image within {tolerance} s")),
-        (dropped.without_pose, "frame", format!("no ground-truth pose within {tolerance} s")),
-        (
-            dropped.too_close,
-            "frame",
-            format!(
-                "no more than {minimum_gap} s after the frame before (minimum_gap; 0 keeps all)"
-            ),
-        ),
-    ];
-    let some = all.into_iter().filter(|(count, ..)| *count > 0);
-    some.map(|(count, word, why)| format!("{} left out: {why}", counted(count, word))).collect()
 }
 
 /// Names of the lists that a folder lacks though another file of TUM RGB-D or ETH3D SLAM is there.

@@ -1,7 +1,6 @@
 //! Videos: colour, and depth where the second track is 16-bit grey.
 
-use super::association::{AssociationRules, associate};
-use super::tum::{dropped_frames, time_warnings};
+use super::association::{AssociationRules, associate, time_warnings};
 use super::{DepthEntry, FrameEntry, Layout, Listing};
 use crate::camera::FormatDefaults;
 use crate::text::counted;
@@ -67,7 +66,7 @@ pub(super) fn list(
     };
     let mut entries: Vec<FrameEntry> = association.pairs.iter().enumerate().map(entry).collect();
     entries.truncate(range_end.unwrap_or(usize::MAX));
-    let dropped = dropped_frames(&association);
+    let dropped = association.dropped();
     warnings.extend(time_warnings(&dropped, rules));
     Ok(Listing { dropped, video: Some(video), warnings, ..Listing::new(Layout::Video, entries) })
 }
