@@ -4,7 +4,8 @@
 //! [--scale FACTOR] [--stride N] [--fov DEGREES] [--guess FACTOR] [--open]
 //! [--online FILE] [--scratch MB]` writes `world_from_camera` poses in the TUM format, and prints
 //! their error where the sequence has a true path, also over the deviations that they claim, that of
-//! the poses as they were known when the frames came, and the time of frames and stages.
+//! the poses as they were known when the frames came, that of the last pose as seen from the first ones
+//! (the seam of a loop), and the time of frames and stages.
 //! Depth is used with `--depth`; with `--open` no loop is closed; with `--scratch` pictures take up
 //! to so much memory, and others leave it for a file.
 //! The focal length is taken from the sequence or `--fov`; it is estimated where neither gives it,
@@ -16,7 +17,7 @@ use i2slam_eval::trajectory::{
     Alignment, ClaimedPose, DEFAULT_TOLERANCE, DeviationRatios, TrajectoryError,
     absolute_trajectory_error, deviation_ratios,
 };
-use i2slam_geometry::{Camera, StampedPose};
+use i2slam_geometry::{Camera, Pose, StampedPose};
 use i2slam_odometry::{
     DepthPicture, FrontEnd, Intrinsics, MIN_NEIGHBOURS, NEIGHBOUR_WINDOW, Progress, Reconstruction,
     Stage,
@@ -69,10 +70,14 @@ fn main() -> Result<(), Box<dyn Error>> {
             .as_ref()
             .map(|depth| DepthPicture { depth: &depth.image, timestamp: depth.timestamp });
         let pushed = Instant::now();
-        front_end.push(&frame.colour, frame.timestamp, depth.as_ref())?;
+        let update = front_end.push(&frame.colour, frame.timestamp, depth.as_ref())?;
+        if update.is_loop_closed {
+            println!("a loop is closed when frame {} comes", update.frame);
+        }
         seconds.push(pushed.elapsed().as_secs_f64());
     }
     let tracked = started.elapsed().as_secs_f64();
+    let when_last_came = front_end.path_so_far(None).trajectory();
     let stages = Arc::new(Mutex::new(StageTimes::default()));
     let listened = Arc::clone(&stages);
     let progress = Progress::new(CancellationToken::default(), move |stage, _, _| {
@@ -122,6 +127,11 @@ fn main() -> Result<(), Box<dyn Error>> {
         unit = if uses_depth { 1.0 } else { scale };
         println!("{name}: {rmse:.3} cm, largest {max:.2}, {pairs} frames, scale {scale:.4}");
     }
+    for (name, path) in [("when the last frame came", &when_last_came), ("in the end", &path)] {
+        if let Some([distance, angle]) = seam(path, &truth) {
+            println!("seam {name}: {:.3} cm, {:.2} mrad", 100.0 * distance, 1e3 * angle);
+        }
+    }
     print_deviations(&found, &truth, unit)
 }
 
@@ -149,6 +159,27 @@ impl StageTimes {
         let of = |(stage, seconds): (&String, &f64)| format!("{stage} {seconds:.1}");
         self.seconds.iter().map(of).collect::<Vec<_>>().join(", ")
     }
+}
+
+/// Error of the last pose as seen from the nearest true one of the first half of the path
+/// [m, rad], after one scale.
+fn seam(path: &[StampedPose], truth: &[StampedPose]) -> Option<[f64; 2]> {
+    let error = absolute_trajectory_error(path, truth, Alignment::Sim3, DEFAULT_TOLERANCE).ok()?;
+    let true_pose = |pose: &StampedPose| {
+        let is_near = |t: &&StampedPose| (t.timestamp - pose.timestamp).abs() < DEFAULT_TOLERANCE;
+        truth.iter().find(is_near).map(|t| (pose.world_from_camera, t.world_from_camera))
+    };
+    let (last, there) = true_pose(path.last()?)?;
+    let far = |other: &Pose<f64>| {
+        there.local(*other).translation.norm() + there.local(*other).rotation.norm()
+    };
+    let (first, from) = path[..path.len() / 2]
+        .iter()
+        .filter_map(true_pose)
+        .min_by(|a, b| far(&a.1).total_cmp(&far(&b.1)))?;
+    let (found, true_step) = (first.inverse() * last, from.inverse() * there);
+    let off = (found.translation * error.scale - true_step.translation).norm();
+    Some([off, found.local(true_step).rotation.norm()])
 }
 
 /// Errors over claimed deviations.

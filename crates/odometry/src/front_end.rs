@@ -50,7 +50,6 @@ pub struct FrontEnd {
     tracker: Tracker,
     picture_checks: PictureChecks,
     map: OnlineMap,
-    close_loops: bool,
     /// Pictures and depth of all frames.
     scratch: Arc<ScratchStore>,
 }
@@ -71,6 +70,9 @@ pub struct FrameUpdate {
     /// The picture became a keyframe. None is made where an old one shows the same view; by colour
     /// alone that counts in long recordings.
     pub is_keyframe: bool,
+    /// The keyframe before this picture was joined to a place that was seen much earlier, and all
+    /// keyframes were adjusted to it.
+    pub is_loop_closed: bool,
 }
 
 impl FrontEnd {
@@ -79,13 +81,13 @@ impl FrontEnd {
         let (tracker, picture_checks) = (Tracker::default(), PictureChecks::default());
         let state = SfmState::new(*intrinsics.camera(), Tracks::default());
         let map = OnlineMap::new(state, !matches!(intrinsics, Intrinsics::Known(_)));
-        let (close_loops, scratch) = (true, ScratchStore::in_memory());
-        Self { intrinsics, tracker, picture_checks, map, close_loops, scratch }
+        Self { intrinsics, tracker, picture_checks, map, scratch: ScratchStore::in_memory() }
     }
 
-    /// Disables loop closure.
-    pub fn without_loop_closure(self) -> Self {
-        Self { close_loops: false, ..self }
+    /// Disables loop closure, before the first picture.
+    pub fn without_loop_closure(mut self) -> Self {
+        self.map.closes_loops = false;
+        self
     }
 
     /// Bounds the memory of pictures and depth of all frames, before the first of them: memory then
@@ -142,14 +144,15 @@ impl FrontEnd {
         self.picture_checks.add(picture);
         let depth = depth.filter(|depth| self.is_in_time(depth.timestamp - timestamp));
         // Points are followed without the map, and the map grows by pictures that were tracked already.
-        let (tracked, ()) = rayon::join(|| self.tracker.track(picture), || self.map.extend());
+        let (tracked, is_loop_closed) =
+            rayon::join(|| self.tracker.track(picture), || self.map.extend());
         self.map.state.add_input(picture, timestamp, depth, &self.scratch);
         let (frame, is_cut) = (self.map.state.poses.len(), tracked.is_cut);
         let is_repeat = &self.picture_checks.is_repeat;
         let status = self.map.add_frame(&mut self.tracker, tracked, is_repeat);
         let pose = self.map.poses.last().copied().flatten();
         let is_keyframe = self.map.state.tracks.keyframes.last() == Some(&frame);
-        Ok(FrameUpdate { frame, pose, status, is_cut, is_keyframe })
+        Ok(FrameUpdate { frame, pose, status, is_cut, is_keyframe, is_loop_closed })
     }
 
     /// True if a depth picture taken `later` than its colour picture [s] is used.
@@ -177,6 +180,7 @@ impl FrontEnd {
     /// The reason why there is no path; [`OdometryError::Cancelled`] after cancellation.
     pub fn finish(mut self, progress: Progress) -> Result<Reconstruction, OdometryError> {
         self.map.extend();
+        self.map.forget_joined_places();
         let timestamps = Arc::clone(&self.map.state.timestamps);
         let frames = timestamps.len();
         if frames < MIN_FRAMES {
@@ -188,8 +192,8 @@ impl FrontEnd {
             return Err(OdometryError::StillCamera { motion: 0.0 });
         }
         let adjust_focal = !matches!(self.intrinsics, Intrinsics::Known(_));
-        let Self { intrinsics, picture_checks, map, close_loops: closes_loops, scratch, .. } = self;
-        let online_poses = map.poses;
+        let Self { intrinsics, picture_checks, map, scratch, .. } = self;
+        let (online_poses, closes_loops) = (map.poses, map.closes_loops);
         let mut state =
             initial_state(SfmState { progress: progress.clone(), ..map.state }, &intrinsics);
         let found = estimate_path(&mut state, adjust_focal);

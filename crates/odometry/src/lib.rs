@@ -102,6 +102,7 @@ mod relocalize {
 }
 
 mod online {
+    mod map_restart;
     pub(crate) mod online_map;
     pub(crate) mod path_alignment;
     pub(crate) mod revisits;

@@ -15,7 +15,7 @@ use crate::relocalize::relocalization::candidate_keyframes;
 use crate::relocalize::view_overlap::{MIN_VISIBLE_LANDMARKS, SAMPLED_LANDMARKS, view_overlap};
 use crate::sfm_state::SfmState;
 use crate::track::thumbnail::KeyframeImage;
-use crate::track::tracks::Observation;
+use crate::track::tracks::{Observation, Track};
 use i2slam_compute::median;
 use i2slam_geometry::{Pose, Similarity};
 use rayon::prelude::*;
@@ -57,19 +57,50 @@ struct LoopCandidate {
 /// Finds loops, distributes the drift and adjusts all frames.
 pub(crate) fn close_loops(state: &mut SfmState, adjust_focal: bool) {
     state.progress.report(Stage::LoopClosure, 0, 0);
-    let unit = median_landmark_distance(state);
-    let likely = find_loop_candidates(state)
-        .into_iter()
-        .filter(|r| is_plausible_drift(state, r, unit))
-        .collect();
-    let candidates = consistent_candidates(state, likely, unit);
-    if candidates.is_empty() {
-        return;
+    let candidates = find_loop_candidates(state, 0);
+    let joining = distribute_drift_of(state, candidates);
+    if !joining.is_empty() {
+        state.add_observations(joining);
+        adjust_path(state, adjust_focal);
+        merge_overlapping_keyframes(state, adjust_focal);
     }
-    distribute_drift(state, &candidates, unit);
-    candidates.into_iter().for_each(|r| state.add_observations(r.found.observations));
-    adjust_path(state, adjust_focal);
-    merge_overlapping_keyframes(state, adjust_focal);
+}
+
+/// Looks for a loop that the last keyframe closes, and distributes the drift. Returns the observations
+/// that join the places, after which the keyframes are to be adjusted; none if there is no loop.
+pub(crate) fn close_last_loop(state: &mut SfmState) -> Vec<(usize, Observation)> {
+    let Some(image) = state.tracks.keyframe_images.last() else { return Vec::new() };
+    let last = state.tracks.keyframe_images.len() - 1;
+    if is_joined(state, image) || find_loop_candidates(state, last).is_empty() {
+        return Vec::new();
+    }
+    let candidates = find_loop_candidates(state, last.saturating_sub(CONSISTENCY_WINDOW));
+    distribute_drift_of(state, candidates)
+}
+
+/// Whether a keyframe shares enough points with much older ones that were out of view in between.
+fn is_joined(state: &SfmState, image: &KeyframeImage) -> bool {
+    let keyframes_until = |frame: usize| state.tracks.keyframes.partition_point(|k| *k < frame);
+    let returns = |track: &&Track| {
+        let gap = |o: &[Observation]| keyframes_until(o[1].frame) - keyframes_until(o[0].frame);
+        track.observations.windows(2).any(|pair| gap(pair) >= MIN_LOOP_GAP)
+    };
+    let tracks = state.by_frame[image.frame].iter().map(|i| &state.tracks.tracks[*i]);
+    tracks.filter(returns).count() >= MAX_SHARED_POINTS
+}
+
+/// Distributes the drift over the path by those candidates that agree; returns their observations.
+fn distribute_drift_of(
+    state: &mut SfmState,
+    mut candidates: Vec<LoopCandidate>,
+) -> Vec<(usize, Observation)> {
+    let unit = median_landmark_distance(state);
+    candidates.retain(|r| is_plausible_drift(state, r, unit));
+    let candidates = consistent_candidates(state, candidates, unit);
+    if !candidates.is_empty() {
+        distribute_drift(state, &candidates, unit);
+    }
+    candidates.into_iter().flat_map(|r| r.found.observations).collect()
 }
 
 /// Merges the tracks of keyframes that overlap by their poses, and adjusts all frames.
@@ -106,8 +137,8 @@ fn median_landmark_distance(state: &SfmState) -> f64 {
         .unwrap_or(1.0)
 }
 
-/// Keyframes verified against much older ones.
-fn find_loop_candidates(state: &SfmState) -> Vec<LoopCandidate> {
+/// Keyframes from the one with index `first` on, verified against much older ones.
+fn find_loop_candidates(state: &SfmState, first: usize) -> Vec<LoopCandidate> {
     let is_scale_measured = state.is_scale_measured();
     let search = |(new, image): (usize, &Arc<KeyframeImage>)| {
         state.poses[image.frame].filter(|_| !state.progress.is_cancelled())?;
@@ -125,7 +156,7 @@ fn find_loop_candidates(state: &SfmState) -> Vec<LoopCandidate> {
         };
         candidate_keyframes(state, image, may).into_iter().find_map(of)
     };
-    state.tracks.keyframe_images.par_iter().enumerate().filter_map(search).collect()
+    state.tracks.keyframe_images.par_iter().enumerate().skip(first).filter_map(search).collect()
 }
 
 /// Whether a path can have drifted as far as a candidate says: rejects places that only look alike.
@@ -262,7 +293,7 @@ fn apply_corrections(state: &mut SfmState, keyframes: &[usize], moves: &[Similar
 mod tests {
     use super::*;
     use crate::fixtures::camera;
-    use crate::track::tracks::{Track, Tracks};
+    use crate::track::tracks::Tracks;
     use i2slam_geometry::{Rotation, Vec3};
 
     /// Keyframes of the first path, which ends with a covered lens, and of both paths.

@@ -6,7 +6,8 @@
 
 use crate::depth::readings::{read_depth_at_prediction, read_depth_in};
 use crate::depth::scale::scale_to_readings;
-use crate::online::path_alignment::{PosePair, align_path, path_change};
+use crate::loops::loop_closure::close_last_loop;
+use crate::online::path_alignment::{PosePair, align_path};
 use crate::online::revisits::{Revisit, find_revisit};
 use crate::register::dense_constraints::{RECENT_KEYFRAMES, RecentKeyframes};
 use crate::register::initialization::initialize;
@@ -16,32 +17,21 @@ use crate::register::registration::{
     register_remaining_frames,
 };
 use crate::relocalize::relocalization::{FailedPairs, relocalize_any_of};
-use crate::rolling_shutter::readout::{
-    MAX_COST_RATIO, correct_observations, correct_observations_in, estimate_rolling_shutter,
-    median_frame_interval,
-};
-use crate::rolling_shutter::rolling_shutter_init::initialize_readout;
-use crate::sfm_state::{MAX_READOUT, SfmState};
+use crate::rolling_shutter::readout::{correct_observations_in, median_frame_interval};
+use crate::sfm_state::SfmState;
 use crate::track::tracker::{BACKWARD_FRAMES, TrackedFrame, Tracker};
-use crate::track::tracks::repeated_frame;
-use i2slam_compute::median;
-use i2slam_geometry::{Pose, Similarity};
+use crate::track::tracks::{Observation, repeated_frame};
+use i2slam_geometry::Pose;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// Keyframes among which the first pair of a map is searched.
-const INITIALIZATION_WINDOW: usize = 12;
+pub(super) const INITIALIZATION_WINDOW: usize = 12;
 /// Frames after which the readout is looked for.
 const READOUT_ESTIMATES: [usize; 6] = [6, 10, 20, 30, 60, 120];
 /// Keyframes up to which all are adjusted with every new one by colour alone: paths bend most while
 /// they are short.
 const MAX_ALWAYS_ADJUSTED_KEYFRAMES: usize = 30;
-/// Relative change of the path by a keyframe and its adjustment, below which poses are given by
-/// colour alone. Before, translations may be noise: where a camera hardly moved, factors of 2 to 7
-/// were seen.
-const MAX_SETTLED_CHANGE: f64 = 0.05;
-/// Frames up to which another readout starts the map anew: rows were some pixels off.
-const MAX_RESTART_FRAMES: usize = 30;
 
 /// Knowledge of the pose of a frame at the time when it came.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -61,18 +51,23 @@ pub(crate) struct OnlineMap {
     /// `world_from_camera` of every frame as it was known when the frame came.
     pub(crate) poses: Vec<Option<Pose<f64>>>,
     failed: FailedPairs,
-    recent_keyframes: RecentKeyframes,
+    pub(super) recent_keyframes: RecentKeyframes,
     /// The last frame, if it is a keyframe by which the map is to be extended.
     pending_keyframe: Option<usize>,
     /// Keyframes at the last adjustment of all of them.
     adjusted_keyframes: usize,
     /// The keyframe that the frames of now move with, and the frames that move with each.
     reference: usize,
-    followers: BTreeMap<usize, Vec<usize>>,
+    pub(super) followers: BTreeMap<usize, Vec<usize>>,
     /// True if the focal length is a guess, which is adjusted with all keyframes.
     adjusts_focal: bool,
     /// True once a keyframe hardly changed the path. Measured depth needs no such proof.
-    is_settled: bool,
+    pub(super) is_settled: bool,
+    /// True if places that are seen again are joined, and once one was.
+    pub(crate) closes_loops: bool,
+    has_closed_loop: bool,
+    /// Track and frame of the observations by which places were joined.
+    joining: Vec<(usize, usize)>,
 }
 
 impl OnlineMap {
@@ -82,6 +77,9 @@ impl OnlineMap {
             state,
             adjusts_focal,
             is_settled: false,
+            closes_loops: true,
+            has_closed_loop: false,
+            joining: Vec::new(),
             poses: Vec::new(),
             failed: FailedPairs::default(),
             recent_keyframes: RecentKeyframes::default(),
@@ -144,49 +142,84 @@ impl OnlineMap {
         (self.pending_keyframe, self.reference) = (Some(frame), frame);
     }
 
-    /// Follows old landmarks that the last frame, a keyframe with a pose, shows again; drops it as a
-    /// keyframe and returns true where an old one shows its view. By colour alone lengths drift: views
-    /// that overlap in part are joined at the end, when loops are closed, and keyframes dropped from
-    /// where on recordings are too long for all frames to be adjusted jointly.
+    /// Joins the last frame, a keyframe with a pose, to old landmarks that it shows again. They are
+    /// followed from there on, and where an old keyframe shows its view, it is dropped as a keyframe and
+    /// true returned; neither where the path [is found anew](Self::is_found_anew_in_the_end).
+    ///
+    /// By colour alone lengths drift until a loop is closed: before, views that overlap in part are not
+    /// joined by their poses.
     fn is_covered(&mut self, tracker: &mut Tracker, interval: f64) -> bool {
         let frame = self.state.poses.len() - 1;
+        let is_found_anew = self.is_found_anew_in_the_end();
         let state = &mut self.state;
+        let lengths_drift = !state.has_depth() && !self.has_closed_loop;
         let is_left_to_the_end = match state.has_depth() {
             true => state.is_unscaled || state.depth_maps[frame].is_none(),
-            false => state.posed_frames().len() <= MAX_JOINTLY_ADJUSTED_FRAMES,
+            false => is_found_anew && lengths_drift,
         };
         if is_left_to_the_end {
             return false;
         }
-        let Revisit { observations, covered_by } = find_revisit(state, !state.has_depth());
+        let Revisit { observations, covered_by } = find_revisit(state, lengths_drift);
         if observations.is_empty() {
             return false;
         }
-        tracker.resume(&observations);
-        state.add_observations(observations);
+        if !is_found_anew {
+            tracker.resume(&observations);
+        }
+        self.join(observations);
+        let state = &mut self.state;
         read_depth_in(state, frame, interval);
         if let Some(refined) = refine_pose(state, frame) {
             state.poses[frame] = Some(refined);
         }
-        let Some(keyframe) = covered_by else { return false };
+        let Some(keyframe) = covered_by.filter(|_| !is_found_anew) else { return false };
         state.tracks.drop_last_keyframe();
         self.reference = keyframe;
         true
     }
 
+    /// True for a path by colour alone, of so few frames that all are adjusted jointly in the end: it is
+    /// made of the tracks alone then, and its loops are closed anew.
+    fn is_found_anew_in_the_end(&self) -> bool {
+        !self.state.has_depth() && self.state.posed_frames().len() <= MAX_JOINTLY_ADJUSTED_FRAMES
+    }
+
+    /// Adds observations of old landmarks.
+    fn join(&mut self, observations: Vec<(usize, Observation)>) {
+        let is_new = |(track, o): &&(usize, Observation)| {
+            self.state.tracks.tracks[*track].observation_in(o.frame).is_none()
+        };
+        self.joining.extend(observations.iter().filter(is_new).map(|(track, o)| (*track, o.frame)));
+        self.state.add_observations(observations);
+    }
+
+    /// Removes the observations of old landmarks from tracks of which the path is found anew.
+    pub(crate) fn forget_joined_places(&mut self) {
+        if self.is_found_anew_in_the_end() {
+            self.joining.drain(..).for_each(|(track, frame)| {
+                self.state.tracks.tracks[track].observations.retain(|o| o.frame != frame);
+            });
+        }
+    }
+
     /// Extends the map by the last frame if it was a keyframe, and looks for the readout where that is
-    /// due. It needs no new picture, so that it may run while the next one is tracked.
-    pub(crate) fn extend(&mut self) {
+    /// due; returns whether a loop was closed. It needs no new picture, so that it may run while the
+    /// next one is tracked.
+    pub(crate) fn extend(&mut self) -> bool {
         if self.awaits_camera() {
-            return;
+            return false;
         }
         let interval = median_frame_interval(&self.state.timestamps).unwrap_or(0.0);
+        let mut is_loop_closed = false;
         if let Some(frame) = self.pending_keyframe.take() {
             self.add_keyframe(frame, interval);
+            is_loop_closed = self.close_loop();
         }
         if READOUT_ESTIMATES.contains(&self.state.poses.len()) {
             self.estimate_readout(interval);
         }
+        is_loop_closed
     }
 
     /// True from the first landmarks on.
@@ -205,7 +238,7 @@ impl OnlineMap {
     }
 
     /// Starts a map from the last keyframes, if they allow it.
-    fn start(&mut self) {
+    pub(super) fn start(&mut self) {
         let state = &mut self.state;
         let count = state.tracks.keyframes.len();
         if initialize(state, count.saturating_sub(INITIALIZATION_WINDOW)..count).is_err() {
@@ -279,27 +312,30 @@ impl OnlineMap {
         }
     }
 
-    /// Starts the map of few keyframes by colour alone anew from the best pair of all, as long as
-    /// keyframes change the path: the pair that was there first may have had too little parallax.
-    fn settle(&mut self, before: &[(usize, Pose<f64>)], interval: f64) {
-        if self.is_settled || self.state.has_depth() {
-            return;
+    /// Joins the last keyframe to a place that it sees again, and adjusts all keyframes; returns
+    /// whether there was one.
+    fn close_loop(&mut self) -> bool {
+        let has_lengths = self.is_settled || self.state.has_depth();
+        if !self.closes_loops || !has_lengths {
+            return false;
         }
-        if before.len() <= INITIALIZATION_WINDOW {
-            let timestamps = Arc::clone(&self.state.timestamps);
-            let other = match self.state.readout == 0.0 {
-                true => self.restarted(|_| {}),
-                false => self.restarted(|state| initialize_rows(state, &timestamps)),
-            };
-            self.replace_if_better(other, (&timestamps, interval), 1.0);
+        let observations = close_last_loop(&mut self.state);
+        if observations.is_empty() {
+            return false;
         }
-        let now = |(frame, was): &(usize, Pose<f64>)| Some((self.state.poses[*frame]?, *was));
-        let pairs: Vec<PosePair> = before.iter().filter_map(now).collect();
-        self.is_settled = path_change(&pairs).is_some_and(|change| change < MAX_SETTLED_CHANGE);
+        self.join(observations);
+        self.has_closed_loop = true;
+        let before = posed_keyframes(&self.state);
+        self.adjusted_keyframes = before.len();
+        let adjusts_focal = self.adjusts_focal;
+        self.state.with_keyframes_alone(|state| adjust_globally(state, adjusts_focal));
+        move_with_keyframes(&mut self.state, &before, &self.followers);
+        self.keep_world();
+        true
     }
 
     /// Moves the map by colour alone to the world and the unit of length in which poses were given.
-    fn keep_world(&mut self) {
+    pub(super) fn keep_world(&mut self) {
         if self.state.has_depth() {
             return;
         }
@@ -311,111 +347,6 @@ impl OnlineMap {
             self.state.transform(&back);
         }
     }
-
-    /// Looks for the readout, and adjusts the path to it: in the first frames by a map with the one
-    /// that explains the rotations best, which has to explain more than the present map; later by the
-    /// cost of the map.
-    fn estimate_readout(&mut self, interval: f64) {
-        let timestamps = Arc::clone(&self.state.timestamps);
-        if self.is_started() && self.state.poses.len() > MAX_RESTART_FRAMES {
-            let before = posed_keyframes(&self.state);
-            self.state.with_keyframes_alone(|state| {
-                estimate_rolling_shutter(state, &timestamps, false);
-                adjust_globally(state, false);
-            });
-            move_with_keyframes(&mut self.state, &before, &self.followers);
-            self.keep_world();
-            return;
-        }
-        let found = self.restarted(|state| initialize_rows(state, &timestamps));
-        if !self.is_started() {
-            // At the end of the range there is no minimum, and no map yet to tell.
-            if found.state.readout.abs() < MAX_READOUT {
-                *self = found;
-            }
-            return;
-        }
-        // A global shutter holds until another readout explains more.
-        let (now, then) = (self.state.readout, found.state.readout);
-        if then != 0.0 && then != now {
-            self.replace_if_better(found, (&timestamps, interval), MAX_COST_RATIO);
-        } else if then == 0.0 && now != 0.0 {
-            self.replace_if_better(found, (&timestamps, interval), MAX_COST_RATIO.recip());
-        }
-    }
-
-    /// A map of the same pictures that has not started, with all rows as seen and a readout that
-    /// `set_readout` finds.
-    fn restarted(&self, set_readout: impl FnOnce(&mut SfmState)) -> Self {
-        let mut other = self.clone();
-        other.recent_keyframes = RecentKeyframes::default();
-        let state = &mut other.state;
-        state.reset();
-        state.relative_poses = Arc::default();
-        let timestamps = Arc::clone(&state.timestamps);
-        correct_observations(state, &timestamps, 0.0, 1.0);
-        set_readout(state);
-        other
-    }
-
-    /// Starts another map of the same pictures, and takes it if it misfits less than this one by a
-    /// ratio.
-    fn replace_if_better(
-        &mut self,
-        mut other: Self,
-        (timestamps, interval): (&[f64], f64),
-        ratio: f64,
-    ) {
-        other.start();
-        if other.is_started() {
-            other.improve(timestamps, interval);
-            self.improve(timestamps, interval);
-            if other.misfit() < ratio * self.misfit() {
-                other.move_to_world_of(&self.state);
-                *self = other;
-            }
-            self.keep_world();
-        }
-    }
-
-    /// Corrects all rows for the velocities of the path, and adjusts the keyframes.
-    fn improve(&mut self, timestamps: &[f64], interval: f64) {
-        let state = &mut self.state;
-        correct_observations(state, timestamps, state.readout * interval, interval);
-        let before = posed_keyframes(state);
-        state.with_keyframes_alone(|state| adjust_globally(state, false));
-        move_with_keyframes(state, &before, &self.followers);
-    }
-
-    /// Median residual of all keyframes [standard deviations] over the number of inliers: a map that
-    /// explains fewer points fits them better.
-    fn misfit(&self) -> f64 {
-        let (state, keyframes) = (&self.state, &self.state.tracks.keyframes);
-        let posed = keyframes.iter().filter(|frame| state.poses[**frame].is_some());
-        let inliers = |frame| state.matches(frame).iter().filter(|(_, o)| !o.is_outlier).count();
-        let explained: usize = posed.map(|frame| inliers(*frame)).sum();
-        let usual = median(&mut state.residuals_in(keyframes));
-        usual.map_or(f64::INFINITY, |usual| usual / explained.max(1) as f64)
-    }
-
-    /// Moves the map to the world of another one with the same keyframes, with its unit of length if
-    /// it has none of its own.
-    fn move_to_world_of(&mut self, other: &SfmState) {
-        let known = |frame: &usize| Some((other.poses[*frame]?, self.state.poses[*frame]?));
-        let common: Vec<(Pose<f64>, Pose<f64>)> =
-            other.tracks.keyframes.iter().filter_map(known).collect();
-        let Some(((there, here), (last_there, last_here))) = common.first().zip(common.last())
-        else {
-            return;
-        };
-        let length = |a: &Pose<f64>, b: &Pose<f64>| (a.translation - b.translation).norm();
-        let ratio = length(there, last_there) / length(here, last_here);
-        let is_scaled = self.state.is_unscaled && ratio.is_finite() && ratio > 0.0;
-        let scale = if is_scaled { ratio } else { 1.0 };
-        let by = Similarity::from_pose(*there, scale)
-            .compose(&Similarity::from_pose(*here, 1.0).inverse());
-        self.state.transform(&by);
-    }
 }
 
 fn correct_rows(state: &mut SfmState, frame: usize, interval: f64) {
@@ -424,19 +355,13 @@ fn correct_rows(state: &mut SfmState, frame: usize, interval: f64) {
     correct_observations_in(state, frame, &timestamps, (readout, interval));
 }
 
-/// Finds the readout that explains the rotations best, and corrects the rows of all observations.
-fn initialize_rows(state: &mut SfmState, timestamps: &[f64]) {
-    let (camera, progress) = (state.camera, state.progress.clone());
-    state.readout = initialize_readout(&mut state.tracks, &camera, timestamps, &progress);
-}
-
 /// Keyframes with a pose, in order.
-fn posed_keyframes(state: &SfmState) -> Vec<(usize, Pose<f64>)> {
+pub(super) fn posed_keyframes(state: &SfmState) -> Vec<(usize, Pose<f64>)> {
     state.tracks.keyframes.iter().filter_map(|f| Some((*f, state.poses[*f]?))).collect()
 }
 
 /// Moves every frame with the keyframe that it follows, given where those were.
-fn move_with_keyframes(
+pub(super) fn move_with_keyframes(
     state: &mut SfmState,
     before: &[(usize, Pose<f64>)],
     followers: &BTreeMap<usize, Vec<usize>>,

@@ -1,6 +1,6 @@
 //! Revisited places: loop closure, cuts and covered lenses.
 
-use crate::scene::{camera, moving, picture, render, texture, tracked};
+use crate::scene::{camera, moving, picture, render, texture, track, tracked};
 use i2slam_eval::trajectory::{Alignment, absolute_trajectory_error};
 use i2slam_geometry::{Image, Pose, Rotation, StampedPose, Vec3};
 use i2slam_odometry::{FrontEnd, Intrinsics, Progress, Reconstruction, Warning};
@@ -66,13 +66,37 @@ fn a_path_closes_where_it_comes_back() {
     let truth: Vec<Pose<f64>> = (0..104).map(round).collect();
     let noisy = |i: usize| with_noise(render(truth[i], 1.0, hall), i);
     let pictures: Vec<Image<f32>> = (0..truth.len()).into_par_iter().map(noisy).collect();
-    let front_end = tracked(Intrinsics::Known(camera()), pictures.iter().cloned());
-    let open =
-        front_end.clone().without_loop_closure().finish(Progress::default()).expect("a path");
-    let closed = front_end.finish(Progress::default()).expect("a path");
+    let mut open = FrontEnd::new(Intrinsics::Known(camera())).without_loop_closure();
+    let mut closed = FrontEnd::new(Intrinsics::Known(camera()));
+    let is_closed = |front_end: &mut FrontEnd| {
+        let updates = track(front_end, pictures.iter().cloned());
+        updates.iter().any(|update| update.is_loop_closed)
+    };
+    assert!(!is_closed(&mut open) && is_closed(&mut closed), "while frames come");
+    let seams = [&open, &closed].map(|front_end| seam(&front_end.path_so_far(None), &truth));
+    assert!(seams[1] < 0.3 * seams[0], "{seams:?}");
+    let [open, closed] =
+        [open, closed].map(|front_end| front_end.finish(Progress::default()).expect("a path"));
     assert_eq!(closed.trajectory().len(), truth.len());
     let (closed, open) = (path_error(&closed, &truth), path_error(&open, &truth));
     assert!(closed < 0.5 * open, "{closed} {open}");
+}
+
+/// Distance from where the last frame is to where it should be, as seen from the first one, with the
+/// length of the path scaled to the true one.
+fn seam(found: &Reconstruction, truth: &[Pose<f64>]) -> f64 {
+    let path = found.trajectory();
+    let (first, last) = (&path[0], &path[path.len() - 1]);
+    let at = |pose: &StampedPose| (pose.timestamp * 30.0).round() as usize;
+    let relative = (first.world_from_camera.inverse() * last.world_from_camera).translation;
+    let true_relative = (truth[at(first)].inverse() * truth[at(last)]).translation;
+    let length = |places: &mut dyn Iterator<Item = Vec3<f64>>| {
+        let places: Vec<Vec3<f64>> = places.collect();
+        places.windows(2).map(|p| (p[1] - p[0]).norm()).sum::<f64>()
+    };
+    let scale = length(&mut truth.iter().map(|pose| pose.translation))
+        / length(&mut path.iter().map(|pose| pose.world_from_camera.translation));
+    (relative * scale - true_relative).norm()
 }
 
 /// A long wall with a pattern that repeats, and a floor that does not; pillars that repeat, too.

@@ -1,7 +1,7 @@
 //! Small pictures of a textured room, for tests.
 
 use i2slam_geometry::{Camera, Image, Pose, Rotation, Vec3};
-use i2slam_odometry::{FrontEnd, Intrinsics};
+use i2slam_odometry::{FrameUpdate, FrontEnd, Intrinsics};
 
 /// Time between pictures [s].
 const INTERVAL: f64 = 1.0 / 30.0;
@@ -17,10 +17,19 @@ pub(crate) fn tracked(
     pictures: impl Iterator<Item = Image<f32>>,
 ) -> FrontEnd {
     let mut front_end = FrontEnd::new(intrinsics);
-    for (i, picture) in pictures.enumerate() {
-        front_end.push(&picture, i as f64 * INTERVAL, None).expect("a picture of the right size");
-    }
+    track(&mut front_end, pictures);
     front_end
+}
+
+/// Tracks pictures; returns their updates.
+pub(crate) fn track(
+    front_end: &mut FrontEnd,
+    pictures: impl Iterator<Item = Image<f32>>,
+) -> Vec<FrameUpdate> {
+    let push = |(i, picture): (usize, Image<f32>)| {
+        front_end.push(&picture, i as f64 * INTERVAL, None).expect("a picture of the right size")
+    };
+    pictures.enumerate().map(push).collect()
 }
 
 /// A camera that moves to the right and turns, with parallax in every frame.

@@ -67,6 +67,8 @@ pub struct OnlineUpdate {
     pub status: TrackingStatus,
     /// True if the frame became a keyframe.
     pub is_keyframe: bool,
+    /// True if a place that was seen much earlier was joined to the path of now.
+    pub is_loop_closed: bool,
     /// Poses of earlier frames of the map that changed since the last frame, by their index. The map
     /// follows them.
     pub corrections: BTreeMap<usize, Pose<f64>>,
@@ -101,6 +103,13 @@ impl OnlineSession {
             online: Vec::new(),
             tracking,
         }
+    }
+
+    /// Disables loop closure, before the first frame.
+    #[must_use]
+    pub fn without_loop_closure(mut self) -> Self {
+        self.front_end = self.front_end.without_loop_closure();
+        self
     }
 
     /// Restricts the image terms to recorded pixels, a mask such as `Sequence::valid_mask`.
@@ -157,8 +166,15 @@ impl OnlineSession {
         self.online.extend(
             world_from_camera.map(|world_from_camera| StampedPose { timestamp, world_from_camera }),
         );
-        let (status, is_keyframe) = (update.status, update.is_keyframe);
-        Ok(OnlineUpdate { index, timestamp, world_from_camera, status, is_keyframe, corrections })
+        Ok(OnlineUpdate {
+            index,
+            timestamp,
+            world_from_camera,
+            status: update.status,
+            is_keyframe: update.is_keyframe,
+            is_loop_closed: update.is_loop_closed,
+            corrections,
+        })
     }
 
     /// Waits until at most so many frames and corrections wait for the map, for sources that wait in
