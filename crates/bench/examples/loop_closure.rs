@@ -24,8 +24,13 @@ fn main() -> Result<(), Failure> {
         return Err("usage: loop_closure SEQUENCE OUT.png".into());
     };
     let sequence = RunOptions::colour_alone().open_sequence(Path::new(folder))?;
-    let (open, closed) = rayon::join(|| map(&sequence, false), || map(&sequence, true));
-    let (open, closed) = (open?, closed?);
+    let (open, closed) = std::thread::scope(|scope| {
+        let open = scope.spawn(|| map(&sequence, false));
+        let closed = map(&sequence, true);
+        (open.join(), closed)
+    });
+    let open = open.map_err(|_| "mapping without loop closure ended by a panic")??;
+    let closed = closed?;
     let (first, last) = sides_of_seam(&closed).ok_or("too few frames in the map")?;
     let mut panels = Vec::new();
     for (name, indices) in [("first", first), ("last", last)] {

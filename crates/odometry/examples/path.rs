@@ -104,6 +104,11 @@ fn main() -> Result<(), Box<dyn Error>> {
     let hundreds = seconds.chunks_exact(100).map(|hundred| 10.0 * hundred.iter().sum::<f64>());
     let hundreds: Vec<String> = hundreds.map(|milliseconds| format!("{milliseconds:.1}")).collect();
     println!("milliseconds a frame in every hundred: {}", hundreds.join(" "));
+    let mut slowest: Vec<(usize, f64)> = seconds.iter().copied().enumerate().collect();
+    slowest.sort_by(|a, b| b.1.total_cmp(&a.1));
+    let slowest: Vec<String> =
+        slowest.iter().take(8).map(|(frame, s)| format!("{frame}: {:.0}", 1e3 * s)).collect();
+    println!("slowest frames [ms]: {}", slowest.join(", "));
     write_trajectory(out, &found.trajectory())?;
     if let Some(place) = flags.iter().position(|flag| flag == "--online") {
         let online = flags.get(place + 1).ok_or("--online needs a file")?;

@@ -204,13 +204,13 @@ impl FrontEnd {
         found?;
         register_depth_pictures(&mut state, adjust_focal);
         let had_initial_readout = state.readout != 0.0;
-        estimate_rolling_shutter(&mut state, &timestamps, adjust_focal);
+        estimate_rolling_shutter(&mut state, adjust_focal);
         if state.readout != 0.0 || had_initial_readout {
             adjust_all_frames(&mut state, adjust_focal);
         }
         // The first readout used velocities of a path fitted to uncorrected rows: estimate it again.
         if state.readout != 0.0 {
-            estimate_rolling_shutter(&mut state, &timestamps, adjust_focal);
+            estimate_rolling_shutter(&mut state, adjust_focal);
             adjust_all_frames(&mut state, adjust_focal);
         }
         if closes_loops {

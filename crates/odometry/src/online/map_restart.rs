@@ -6,9 +6,7 @@ use crate::online::online_map::{
 use crate::online::path_alignment::{PosePair, path_change};
 use crate::register::dense_constraints::RecentKeyframes;
 use crate::register::registration::adjust_globally;
-use crate::rolling_shutter::readout::{
-    MAX_COST_RATIO, correct_observations, estimate_rolling_shutter,
-};
+use crate::rolling_shutter::readout::{MAX_COST_RATIO, ReadoutSearch, correct_observations};
 use crate::rolling_shutter::rolling_shutter_init::initialize_readout;
 use crate::sfm_state::{MAX_READOUT, SfmState};
 use i2slam_compute::median;
@@ -44,19 +42,14 @@ impl OnlineMap {
 
     /// Looks for the readout, and adjusts the path to it: in the first frames by a map with the one
     /// that explains the rotations best, which has to explain more than the present map; later by the
-    /// cost of the map.
+    /// cost of the map, in steps of which each frame takes one.
     pub(super) fn estimate_readout(&mut self, interval: f64) {
-        let timestamps = Arc::clone(&self.state.timestamps);
         if self.is_started() && self.state.poses.len() > MAX_RESTART_FRAMES {
-            let before = posed_keyframes(&self.state);
-            self.state.with_keyframes_alone(|state| {
-                estimate_rolling_shutter(state, &timestamps, false);
-                adjust_globally(state, false);
-            });
-            move_with_keyframes(&mut self.state, &before, &self.followers);
-            self.keep_world();
+            let search = |state: &mut SfmState| ReadoutSearch::new(state, false);
+            self.readout_search = self.state.with_keyframes_alone(search);
             return;
         }
+        let timestamps = Arc::clone(&self.state.timestamps);
         let found = self.restarted(|state| initialize_rows(state, &timestamps));
         if !self.is_started() {
             // At the end of the range there is no minimum, and no map yet to tell.
@@ -72,6 +65,22 @@ impl OnlineMap {
         } else if then == 0.0 && now != 0.0 {
             self.replace_if_better(found, (&timestamps, interval), MAX_COST_RATIO.recip());
         }
+    }
+
+    /// Takes a step of the search for the readout; after the last one adjusts the path to it.
+    pub(super) fn continue_readout_search(&mut self) {
+        let Some(mut search) = self.readout_search.take() else { return };
+        if search.step() {
+            self.readout_search = Some(search);
+            return;
+        }
+        let before = posed_keyframes(&self.state);
+        self.state.with_keyframes_alone(|state| {
+            search.apply(state);
+            adjust_globally(state, false);
+        });
+        move_with_keyframes(&mut self.state, &before, &self.followers);
+        self.keep_world();
     }
 
     /// A map of the same pictures that has not started, with all rows as seen and a readout that

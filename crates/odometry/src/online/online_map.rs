@@ -17,7 +17,9 @@ use crate::register::registration::{
     register_remaining_frames,
 };
 use crate::relocalize::relocalization::{FailedPairs, relocalize_any_of};
-use crate::rolling_shutter::readout::{correct_observations_in, median_frame_interval};
+use crate::rolling_shutter::readout::{
+    ReadoutSearch, correct_observations_in, median_frame_interval,
+};
 use crate::sfm_state::SfmState;
 use crate::track::tracker::{BACKWARD_FRAMES, TrackedFrame, Tracker};
 use crate::track::tracks::{Observation, repeated_frame};
@@ -66,6 +68,7 @@ pub(crate) struct OnlineMap {
     /// True if places that are seen again are joined, and once one was.
     pub(crate) closes_loops: bool,
     has_closed_loop: bool,
+    pub(super) readout_search: Option<ReadoutSearch>,
     /// Track and frame of the observations by which places were joined.
     joining: Vec<(usize, usize)>,
 }
@@ -79,6 +82,7 @@ impl OnlineMap {
             is_settled: false,
             closes_loops: true,
             has_closed_loop: false,
+            readout_search: None,
             joining: Vec::new(),
             poses: Vec::new(),
             failed: FailedPairs::default(),
@@ -219,6 +223,7 @@ impl OnlineMap {
         if READOUT_ESTIMATES.contains(&self.state.poses.len()) {
             self.estimate_readout(interval);
         }
+        self.continue_readout_search();
         is_loop_closed
     }
 

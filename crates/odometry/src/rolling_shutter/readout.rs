@@ -26,36 +26,34 @@ const MAX_VELOCITY_GAP: f64 = 4.5;
 
 /// Estimates the readout from the present one on, with the focal length on demand, and corrects the
 /// observations; 0 if not clearly better than a global shutter.
-pub(crate) fn estimate_rolling_shutter(
-    state: &mut SfmState,
-    timestamps: &[f64],
-    adjust_focal: bool,
-) {
-    let Some(interval) = median_frame_interval(timestamps) else { return };
+pub(crate) fn estimate_rolling_shutter(state: &mut SfmState, adjust_focal: bool) {
     state.progress.report(Stage::RollingShutter, 0, 0);
-    let search = ReadoutSearch::new(state, timestamps, interval, adjust_focal);
-    let none = search.cost(0.0);
-    let about = state.readout;
-    let (best, cost) =
-        if about == 0.0 { search.search_coarse(none) } else { search.refine_near(about) };
-    state.readout = if cost < MAX_COST_RATIO * none { best } else { 0.0 };
-    state.estimates_readout = state.readout != 0.0;
-    correct_observations(state, timestamps, state.readout * interval, interval);
+    if let Some(mut search) = ReadoutSearch::new(state, adjust_focal) {
+        while search.step() {}
+        search.apply(state);
+    }
 }
 
-/// The frames that the readout is searched with: all, or some stretches of a long sequence.
-struct ReadoutSearch<'a> {
+/// Search for the readout of least cost: around none first, or near the present one.
+#[derive(Clone, Debug)]
+pub(crate) struct ReadoutSearch {
+    /// The frames that it is searched with: all, or some stretches of a long sequence.
     state: SfmState,
     /// All of them but the first of every stretch, which stay.
     free: Vec<usize>,
-    timestamps: &'a [f64],
+    timestamps: Arc<Vec<f64>>,
     /// Median frame interval [s].
     interval: f64,
     adjust_focal: bool,
+    /// Readouts [frame intervals] that were tried, and their costs.
+    tried: Vec<(f64, f64)>,
 }
 
-impl<'a> ReadoutSearch<'a> {
-    fn new(state: &SfmState, timestamps: &'a [f64], interval: f64, adjust_focal: bool) -> Self {
+impl ReadoutSearch {
+    /// A search from the present readout on; `None` of fewer than two frames.
+    pub(crate) fn new(state: &SfmState, adjust_focal: bool) -> Option<Self> {
+        let timestamps = Arc::clone(&state.timestamps);
+        let interval = median_frame_interval(&timestamps)?;
         let posed = state.adjusted_frames();
         let stretches: Vec<&[usize]> = if posed.len() <= SAMPLE_STRETCHES * STRETCH_FRAMES {
             vec![&posed]
@@ -70,37 +68,76 @@ impl<'a> ReadoutSearch<'a> {
         sample.progress = state.progress.without_listener();
         sample.estimates_readout = false;
         let free = stretches.iter().flat_map(|s| s.iter().skip(1)).copied().collect();
-        Self { state: sample, free, timestamps, interval, adjust_focal }
+        Some(Self { state: sample, free, timestamps, interval, adjust_focal, tried: Vec::new() })
+    }
+
+    /// Tries the next readout; false if there is none left.
+    pub(crate) fn step(&mut self) -> bool {
+        let next = self.next_readout();
+        self.tried.extend(next.map(|readout| (readout, self.cost(readout))));
+        next.is_some()
+    }
+
+    /// Sets the readout that was found, if it is clearly better than none, and corrects the
+    /// observations.
+    pub(crate) fn apply(&self, state: &mut SfmState) {
+        let about = self.state.readout;
+        let best = self.best();
+        let accepted = if about == 0.0 { best } else { Some(about) };
+        let cost = |readout: f64| self.tried_cost(readout);
+        let is_better = accepted
+            .and_then(|accepted| Some(cost(accepted)? < MAX_COST_RATIO * cost(0.0)?))
+            .unwrap_or(false);
+        state.readout = best.filter(|_| is_better).unwrap_or(0.0);
+        state.estimates_readout = state.readout != 0.0;
+        let timestamps = Arc::clone(&state.timestamps);
+        correct_observations(state, &timestamps, state.readout * self.interval, self.interval);
+    }
+
+    fn next_readout(&self) -> Option<f64> {
+        let is_new = |readout: &f64| self.tried_cost(*readout).is_none();
+        let about = self.state.readout;
+        let first = match about == 0.0 {
+            true => vec![0.0, -COARSE_STEP, COARSE_STEP],
+            false => vec![0.0, about - FINE_STEP, about, about + FINE_STEP],
+        };
+        let found =
+            || if about == 0.0 { self.end_beyond().filter(is_new).or(self.best()) } else { None };
+        first.into_iter().find(is_new).or_else(found).filter(is_new)
+    }
+
+    /// Twice the coarse step on the side that is better than none.
+    fn end_beyond(&self) -> Option<f64> {
+        let [before, none, after] = [-COARSE_STEP, 0.0, COARSE_STEP].map(|r| self.tried_cost(r));
+        let (before, after) = (before?, after?);
+        let side = if before < after { -COARSE_STEP } else { COARSE_STEP };
+        (before.min(after) < none?).then_some(2.0 * side)
+    }
+
+    /// Minimum of the parabola through the readouts around the least cost.
+    fn best(&self) -> Option<f64> {
+        let about = self.state.readout;
+        let (middle, step) = match about == 0.0 {
+            true => (self.end_beyond().map_or(0.0, |end| 0.5 * end), COARSE_STEP),
+            false => (about, FINE_STEP),
+        };
+        let [before, there, after] =
+            [middle - step, middle, middle + step].map(|r| self.tried_cost(r));
+        let change = parabola_minimum(step, [before?, there?, after?]).unwrap_or(0.0);
+        // Beyond the range of a coarse search nothing was tried.
+        let most = if about == 0.0 { step } else { 2.0 * step };
+        Some((middle + change.clamp(-most, most)).clamp(-MAX_READOUT, MAX_READOUT))
+    }
+
+    fn tried_cost(&self, readout: f64) -> Option<f64> {
+        self.tried.iter().find(|(tried, _)| *tried == readout).map(|(_, cost)| *cost)
     }
 
     /// Mean cost per observation after adjustment to a readout [intervals].
     fn cost(&self, readout: f64) -> f64 {
         let mut tried = self.state.clone();
-        correct_observations(&mut tried, self.timestamps, readout * self.interval, self.interval);
+        correct_observations(&mut tried, &self.timestamps, readout * self.interval, self.interval);
         tried.adjust(&self.free, self.adjust_focal, ADJUSTMENT_STEPS)
-    }
-
-    /// The best of all readouts [intervals] and its cost, given the cost of none.
-    fn search_coarse(&self, none: f64) -> (f64, f64) {
-        let mut costs = [self.cost(-COARSE_STEP), none, self.cost(COARSE_STEP)];
-        let side = if costs[0] < costs[2] { -COARSE_STEP } else { COARSE_STEP };
-        let (mut middle, end) = (0.0, costs[0].min(costs[2]));
-        if end < none {
-            let beyond = self.cost(2.0 * side);
-            costs = if side < 0.0 { [beyond, end, none] } else { [none, end, beyond] };
-            middle = side;
-        }
-        let change =
-            parabola_minimum(COARSE_STEP, costs).unwrap_or(0.0).clamp(-COARSE_STEP, COARSE_STEP);
-        let best = (middle + change).clamp(-MAX_READOUT, MAX_READOUT);
-        (best, self.cost(best))
-    }
-
-    /// The best readout near a given one [intervals], and the cost of the given one.
-    fn refine_near(&self, about: f64) -> (f64, f64) {
-        let costs = [about - FINE_STEP, about, about + FINE_STEP].map(|r| self.cost(r));
-        let change = parabola_minimum(FINE_STEP, costs).unwrap_or(0.0);
-        ((about + change).clamp(-MAX_READOUT, MAX_READOUT), costs[1])
     }
 }
 
@@ -236,7 +273,7 @@ mod tests {
     }
 
     /// `frames` frames with their true poses, their rows exposed within `readout` intervals.
-    fn state(frames: usize, readout: f64) -> (SfmState, Vec<f64>) {
+    fn state(frames: usize, readout: f64) -> SfmState {
         let observe = |point: Vec3<f64>, frame: usize, n: &[f64]| {
             let mut at = camera().project(path(frame as f64).inverse() * point);
             for _ in 0..5 {
@@ -247,14 +284,14 @@ mod tests {
             camera().contains(at[0], at[1], 1.0).then_some(at)
         };
         let pose = |frame: usize| path(frame as f64);
-        let state = fixtures::state((frames, 4, 4), [150.0, 110.0], pose, observe);
-        (state, (0..frames).map(|f| f as f64 / 30.0).collect())
+        let timestamps = Arc::new((0..frames).map(|f| f as f64 / 30.0).collect());
+        SfmState { timestamps, ..fixtures::state((frames, 4, 4), [150.0, 110.0], pose, observe) }
     }
 
     #[test]
     fn the_readout_of_a_long_sequence_is_found_from_some_stretches() {
-        let (mut rolling, timestamps) = state(420, 0.5);
-        estimate_rolling_shutter(&mut rolling, &timestamps, false);
+        let mut rolling = state(420, 0.5);
+        estimate_rolling_shutter(&mut rolling, false);
         assert!((rolling.readout - 0.5).abs() < 0.05, "{}", rolling.readout);
         assert_eq!(rolling.posed_frames().len(), 420);
     }
@@ -262,11 +299,11 @@ mod tests {
     /// Each would be wrong if the other were fixed at a wrong value.
     #[test]
     fn readout_and_focal_length_are_found_together() {
-        let (mut rolling, timestamps) = state(60, 0.6);
+        let mut rolling = state(60, 0.6);
         let wrong = 1.12 * rolling.camera.fx;
         (rolling.camera.fx, rolling.camera.fy) = (wrong, wrong);
         for _ in 0..2 {
-            estimate_rolling_shutter(&mut rolling, &timestamps, true);
+            estimate_rolling_shutter(&mut rolling, true);
             adjust_path(&mut rolling, true);
         }
         // Speeds are means over two intervals, which are too low where the camera trembles.
@@ -284,7 +321,7 @@ mod tests {
 
     #[test]
     fn a_readout_that_explains_nothing_is_given_up() {
-        let (mut global, timestamps) = state(60, 0.0);
+        let mut global = state(60, 0.0);
         // Frames without a pose, and one without neighbours, have no known velocity.
         global.poses[20..26].fill(None);
         global.poses[30..40].fill(None);
@@ -293,7 +330,7 @@ mod tests {
             let observations = global.tracks.tracks.iter_mut().flat_map(|t| &mut t.observations);
             observations.for_each(|o| *o = o.moved_to([o.raw()[0] + about, o.at()[1]]));
             global.readout = about;
-            estimate_rolling_shutter(&mut global, &timestamps, false);
+            estimate_rolling_shutter(&mut global, false);
             assert_eq!(global.readout, 0.0);
             let observations = global.tracks.tracks.iter().flat_map(|t| &t.observations);
             assert!(observations.clone().all(|o| o.at() == o.raw()));
