@@ -1,5 +1,6 @@
 //! The program `i2slam`: RGB-D SLAM that inverts image formation.
 
+mod allocator;
 mod arguments;
 mod commands;
 mod console;
@@ -15,6 +16,7 @@ mod reconstruction;
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
+    allocator::return_large_blocks();
     let arguments: commands::Arguments = console::parse_arguments();
     match failure::catch_panics(|| commands::dispatch(arguments.command)) {
         Ok(()) => ExitCode::SUCCESS,
