@@ -18,3 +18,17 @@ pub(crate) fn return_large_blocks() {
         libc::mallopt(libc::M_MMAP_THRESHOLD, MMAP_THRESHOLD);
     }
 }
+
+/// Returns free pages within the heap to the system. Stages of a run free many small blocks that the
+/// next ones do not need.
+#[cfg_attr(
+    all(target_os = "linux", target_env = "gnu"),
+    expect(unsafe_code, reason = "glibc has no safe interface for its settings")
+)]
+pub(crate) fn return_free_pages() {
+    #[cfg(all(target_os = "linux", target_env = "gnu"))]
+    // SAFETY: `malloc_trim` may be called at any time, on any thread.
+    unsafe {
+        libc::malloc_trim(0);
+    }
+}

@@ -1,5 +1,6 @@
 //! Progress of a command on standard error: a bar on a terminal, otherwise a line now and then.
 
+use crate::allocator::return_free_pages;
 use crate::console::print_status;
 use crate::interrupt;
 use crate::messages;
@@ -113,6 +114,7 @@ impl Progress {
     pub(crate) fn step(&self, name: &'static str, done: usize, total: usize) {
         let Ok(mut phase) = self.phase.lock() else { return };
         if name != phase.name {
+            return_free_pages();
             *phase = Phase::new(name, done, total);
             match &self.display {
                 Display::Bar(bar) => show(bar, &phase),
