@@ -1,31 +1,26 @@
 //! Memory that goes back to the system.
 
-/// Size from which glibc maps a block by itself [bytes]; pictures are larger.
-#[cfg(all(target_os = "linux", target_env = "gnu"))]
-const MMAP_THRESHOLD: libc::c_int = 256 << 10;
+use std::sync::Mutex;
+use std::time::{Duration, Instant};
 
-/// Lets glibc return every large block to the system when it is freed. By itself it raises the size
-/// from which it does so to that of the largest block freed, up to 32 MiB, and pictures leave gaps that
-/// nothing else fills. Other allocators need no setting.
-#[cfg_attr(
-    all(target_os = "linux", target_env = "gnu"),
-    expect(unsafe_code, reason = "glibc has no safe interface for its settings")
-)]
-pub(crate) fn return_large_blocks() {
-    #[cfg(all(target_os = "linux", target_env = "gnu"))]
-    // SAFETY: `mallopt` may be called at any time; here no other thread runs yet.
-    unsafe {
-        libc::mallopt(libc::M_MMAP_THRESHOLD, MMAP_THRESHOLD);
-    }
-}
+/// Least time from one return of free pages to the next.
+const PAUSE: Duration = Duration::from_secs(5);
 
-/// Returns free pages within the heap to the system. Stages of a run free many small blocks that the
-/// next ones do not need.
+/// Returns free pages within the heap to the system, unless that was done just before. A run makes
+/// and frees pictures all the time, between small blocks that stay; glibc by itself returns what lies
+/// at the end of a heap alone. Other allocators are left to themselves.
 #[cfg_attr(
     all(target_os = "linux", target_env = "gnu"),
     expect(unsafe_code, reason = "glibc has no safe interface for its settings")
 )]
 pub(crate) fn return_free_pages() {
+    static LAST: Mutex<Option<Instant>> = Mutex::new(None);
+    let Ok(mut last) = LAST.lock() else { return };
+    if last.is_some_and(|last| last.elapsed() < PAUSE) {
+        return;
+    }
+    *last = Some(Instant::now());
+    drop(last);
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     // SAFETY: `malloc_trim` may be called at any time, on any thread.
     unsafe {

@@ -16,7 +16,6 @@ mod reconstruction;
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    allocator::return_large_blocks();
     let arguments: commands::Arguments = console::parse_arguments();
     match failure::catch_panics(|| commands::dispatch(arguments.command)) {
         Ok(()) => ExitCode::SUCCESS,

@@ -112,9 +112,9 @@ impl Progress {
     /// Reports `done` of `total` steps of a phase. Phases may come in turns, and their totals
     /// change; a total of 0 is unknown.
     pub(crate) fn step(&self, name: &'static str, done: usize, total: usize) {
+        return_free_pages();
         let Ok(mut phase) = self.phase.lock() else { return };
         if name != phase.name {
-            return_free_pages();
             *phase = Phase::new(name, done, total);
             match &self.display {
                 Display::Bar(bar) => show(bar, &phase),

@@ -3,8 +3,9 @@
 //!
 //! Points are tracked through all pictures; a keyframe with measured depth, or two keyframes with
 //! parallax, start a map, to which every frame is registered when it comes, with bundle adjustment
-//! around every keyframe. At the end all frames are adjusted together: keyframes without a pose are
-//! relocalized by what they look like, and loops are closed. With depth, frames are aligned to the keyframes around them by picture and
+//! around every keyframe; loops are closed when a place is seen again. At the end all frames are
+//! adjusted together: keyframes without a pose are relocalized by what they look like, and loops are
+//! closed that are left. With depth, frames are aligned to the keyframes around them by picture and
 //! depth, too, and lengths are metres; the unit is arbitrary otherwise. [`DenseDepthEstimator`]
 //! computes the depth of most pixels of keyframes afterwards.
 //!
@@ -22,8 +23,8 @@
 //! | `intrinsics` | search for the focal length, observability of focal length and distortion |
 //! | `rolling_shutter` | estimation of the readout, correction of image positions |
 //! | `relocalize` | keyframes recognised in others by descriptors and geometric verification |
-//! | `online` | the map so far, and the pose of a frame when it comes |
 //! | `loops` | loop closure by a pose graph of similarities |
+//! | `online` | the map so far, and the pose of a frame when it comes |
 //! | `diagnosis` | wrong input: pictures of one colour, frozen or shuffled frames, large moving objects |
 //! | `result`, `front_end` | the result, and the pipeline from pictures to it |
 //! | `alignment` | dense alignment of a frame to a target by picture and depth; stands alone |

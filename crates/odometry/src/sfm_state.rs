@@ -213,6 +213,12 @@ impl SfmState {
         }
     }
 
+    /// Removes the observation of a track in a frame.
+    pub(crate) fn remove_observation(&mut self, track: usize, frame: usize) {
+        self.tracks.tracks[track].observations.retain(|o| o.frame != frame);
+        Arc::make_mut(&mut self.by_frame)[frame].retain(|t| *t != track);
+    }
+
     /// Image positions of the points that two frames share.
     pub(crate) fn shared_positions(
         &self,

@@ -58,7 +58,7 @@ struct LoopCandidate {
 pub(crate) fn close_loops(state: &mut SfmState, adjust_focal: bool) {
     state.progress.report(Stage::LoopClosure, 0, 0);
     let candidates = find_loop_candidates(state, 0);
-    let joining = distribute_drift_of(state, candidates);
+    let joining = distribute_drift_of(state, candidates, &BTreeMap::new());
     if !joining.is_empty() {
         state.add_observations(joining);
         adjust_path(state, adjust_focal);
@@ -66,24 +66,29 @@ pub(crate) fn close_loops(state: &mut SfmState, adjust_focal: bool) {
     }
 }
 
-/// Looks for a loop that the last keyframe closes, and distributes the drift. Returns the observations
-/// that join the places, after which the keyframes are to be adjusted; none if there is no loop.
-pub(crate) fn close_last_loop(state: &mut SfmState) -> Vec<(usize, Observation)> {
+/// Looks for a loop that the last keyframe closes, and distributes the drift; frames move with the
+/// keyframe that they follow. Returns the observations that join the places, after which the keyframes
+/// are to be adjusted; none if there is no loop.
+pub(crate) fn close_last_loop(
+    state: &mut SfmState,
+    followers: &BTreeMap<usize, Vec<usize>>,
+) -> Vec<(usize, Observation)> {
     let Some(image) = state.tracks.keyframe_images.last() else { return Vec::new() };
     let last = state.tracks.keyframe_images.len() - 1;
     if is_joined(state, image) || find_loop_candidates(state, last).is_empty() {
         return Vec::new();
     }
     let candidates = find_loop_candidates(state, last.saturating_sub(CONSISTENCY_WINDOW));
-    distribute_drift_of(state, candidates)
+    distribute_drift_of(state, candidates, followers)
 }
 
 /// Whether a keyframe shares enough points with much older ones that were out of view in between.
 fn is_joined(state: &SfmState, image: &KeyframeImage) -> bool {
     let keyframes_until = |frame: usize| state.tracks.keyframes.partition_point(|k| *k < frame);
     let returns = |track: &&Track| {
-        let gap = |o: &[Observation]| keyframes_until(o[1].frame) - keyframes_until(o[0].frame);
-        track.observations.windows(2).any(|pair| gap(pair) >= MIN_LOOP_GAP)
+        let right = track.observations.iter().filter(|o| !o.is_outlier);
+        let places: Vec<usize> = right.map(|o| keyframes_until(o.frame)).collect();
+        places.windows(2).any(|pair| pair[1] - pair[0] >= MIN_LOOP_GAP)
     };
     let tracks = state.by_frame[image.frame].iter().map(|i| &state.tracks.tracks[*i]);
     tracks.filter(returns).count() >= MAX_SHARED_POINTS
@@ -93,12 +98,13 @@ fn is_joined(state: &SfmState, image: &KeyframeImage) -> bool {
 fn distribute_drift_of(
     state: &mut SfmState,
     mut candidates: Vec<LoopCandidate>,
+    followers: &BTreeMap<usize, Vec<usize>>,
 ) -> Vec<(usize, Observation)> {
     let unit = median_landmark_distance(state);
     candidates.retain(|r| is_plausible_drift(state, r, unit));
     let candidates = consistent_candidates(state, candidates, unit);
     if !candidates.is_empty() {
-        distribute_drift(state, &candidates, unit);
+        distribute_drift(state, &candidates, followers, unit);
     }
     candidates.into_iter().flat_map(|r| r.found.observations).collect()
 }
@@ -149,8 +155,12 @@ fn find_loop_candidates(state: &SfmState, first: usize) -> Vec<LoopCandidate> {
         };
         let of = |(old, other): (usize, &KeyframeImage)| {
             let found = match_and_verify(state, image, other)?;
-            // Measured lengths do not drift.
-            let scale = if is_scale_measured { 1.0 } else { found.scale? };
+            let scale = match is_scale_measured {
+                // Measured lengths do not drift: a place of another size is another place.
+                true if found.scale.is_some_and(|s| s.ln().abs() > MAX_DISAGREEMENT[2]) => None?,
+                true => 1.0,
+                false => found.scale?,
+            };
             let place = Similarity::from_pose(found.world_from_camera, scale);
             Some(LoopCandidate { new, old, found, place })
         };
@@ -202,7 +212,12 @@ fn consistent_candidates(
 }
 
 /// Distributes the drift over keyframes by a pose graph, and moves frames and landmarks with them.
-fn distribute_drift(state: &mut SfmState, candidates: &[LoopCandidate], unit: f64) {
+fn distribute_drift(
+    state: &mut SfmState,
+    candidates: &[LoopCandidate],
+    followers: &BTreeMap<usize, Vec<usize>>,
+    unit: f64,
+) {
     let keyframe_images = &state.tracks.keyframe_images;
     let posed: Vec<usize> = (0..keyframe_images.len())
         .filter(|k| state.poses[keyframe_images[*k].frame].is_some())
@@ -232,7 +247,7 @@ fn distribute_drift(state: &mut SfmState, candidates: &[LoopCandidate], unit: f6
     optimize_pose_graph(&mut after, &edges, lengths);
     let moves: Vec<Similarity<f64>> =
         after.iter().zip(&before).map(|(after, before)| after.compose(&before.inverse())).collect();
-    apply_corrections(state, &frames, &moves);
+    apply_corrections(state, &frames, &moves, followers);
 }
 
 /// Pairs of neighbouring keyframes that share points, as indices into `frames`.
@@ -269,15 +284,25 @@ fn relocalized_edges(state: &SfmState, frames: &[usize]) -> Vec<(usize, usize)> 
         .collect()
 }
 
-/// Moves every frame and landmark with the keyframe at or before it.
-fn apply_corrections(state: &mut SfmState, keyframes: &[usize], moves: &[Similarity<f64>]) {
-    let by = |frame: usize| {
-        let place = keyframes.partition_point(|k| *k <= frame).saturating_sub(1);
-        moves.get(place)
-    };
+/// Moves every frame with the keyframe that it follows, or else with the one at or before it, and every
+/// landmark with the first keyframe that observes it, or else with the first frame.
+fn apply_corrections(
+    state: &mut SfmState,
+    keyframes: &[usize],
+    moves: &[Similarity<f64>],
+    followers: &BTreeMap<usize, Vec<usize>>,
+) {
+    let before = |frame: usize| keyframes.partition_point(|k| *k <= frame).saturating_sub(1);
+    let mut places: Vec<usize> = (0..state.poses.len()).map(before).collect();
+    for (place, keyframe) in keyframes.iter().enumerate() {
+        followers.get(keyframe).into_iter().flatten().for_each(|frame| places[*frame] = place);
+    }
+    keyframes.iter().enumerate().for_each(|(place, keyframe)| places[*keyframe] = place);
+    let by = |frame: usize| moves.get(places[frame]);
     for (landmark, track) in state.landmarks.iter_mut().zip(&state.tracks.tracks) {
-        let posed = track.observations.iter().find(|o| state.poses[o.frame].is_some());
-        let by = posed.and_then(|o| by(o.frame));
+        let mut posed = track.observations.iter().filter(|o| state.poses[o.frame].is_some());
+        let first = posed.clone().find(|o| keyframes.binary_search(&o.frame).is_ok());
+        let by = first.or(posed.next()).and_then(|o| by(o.frame));
         if let (Some(known), Some(by)) = (&mut *landmark, by) {
             *known = known.transformed(by);
         }
@@ -354,7 +379,29 @@ mod tests {
             Relocalization { world_from_camera: end, scale: Some(1.0), observations: Vec::new() };
         let place = Similarity::from_pose(end, 1.0);
         let back = LoopCandidate { new: CUT + 11, old: CUT - 1, found, place };
-        distribute_drift(&mut state, &[back], 2.0);
+        distribute_drift(&mut state, &[back], &BTreeMap::new(), 2.0);
         assert!(gap(&state) < 0.1, "{}", gap(&state));
+    }
+
+    /// A frame that follows an old keyframe moves with it, whichever keyframes came in between.
+    #[test]
+    fn frames_move_with_the_keyframe_that_they_follow() {
+        let mut state = two_ways();
+        let before = state.poses.clone();
+        let keyframes = [0, 10, 20];
+        let shift = |x: f64| {
+            Similarity::from_pose(Pose::new(Rotation::identity(), Vec3::new(x, 0.0, 0.0)), 1.0)
+        };
+        let followers = BTreeMap::from([(0, vec![1, 25]), (20, vec![21])]);
+        apply_corrections(&mut state, &keyframes, &[1.0, 2.0, 3.0].map(shift), &followers);
+        let moved = |frame: usize| {
+            let [now, was] = [&state.poses, &before].map(|poses| poses[frame].expect("a pose"));
+            (now.translation - was.translation).x
+        };
+        for (frame, by) in
+            [(0, 1.0), (1, 1.0), (10, 2.0), (12, 2.0), (20, 3.0), (21, 3.0), (25, 1.0)]
+        {
+            assert!((moved(frame) - by).abs() < 1e-9, "frame {frame}: {}", moved(frame));
+        }
     }
 }

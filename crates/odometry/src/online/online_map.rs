@@ -34,6 +34,9 @@ const READOUT_ESTIMATES: [usize; 6] = [6, 10, 20, 30, 60, 120];
 /// Keyframes up to which all are adjusted with every new one by colour alone: paths bend most while
 /// they are short.
 const MAX_ALWAYS_ADJUSTED_KEYFRAMES: usize = 30;
+/// Keyframes after a loop before another is looked for: each takes an adjustment of all keyframes, and
+/// what follows sees the same place.
+const LOOP_PAUSE: usize = 8;
 
 /// Knowledge of the pose of a frame at the time when it came.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -68,6 +71,8 @@ pub(crate) struct OnlineMap {
     /// True if places that are seen again are joined, and once one was.
     pub(crate) closes_loops: bool,
     has_closed_loop: bool,
+    /// Keyframes until a loop is looked for again.
+    loop_pause: usize,
     pub(super) readout_search: Option<ReadoutSearch>,
     /// Track and frame of the observations by which places were joined.
     joining: Vec<(usize, usize)>,
@@ -82,6 +87,7 @@ impl OnlineMap {
             is_settled: false,
             closes_loops: true,
             has_closed_loop: false,
+            loop_pause: 0,
             readout_search: None,
             joining: Vec::new(),
             poses: Vec::new(),
@@ -201,9 +207,14 @@ impl OnlineMap {
     /// Removes the observations of old landmarks from tracks of which the path is found anew.
     pub(crate) fn forget_joined_places(&mut self) {
         if self.is_found_anew_in_the_end() {
-            self.joining.drain(..).for_each(|(track, frame)| {
-                self.state.tracks.tracks[track].observations.retain(|o| o.frame != frame);
-            });
+            self.forget_joined_from(0);
+        }
+    }
+
+    /// Removes the joining observations from a number of them on.
+    fn forget_joined_from(&mut self, known: usize) {
+        for (track, frame) in self.joining.drain(known..) {
+            self.state.remove_observation(track, frame);
         }
     }
 
@@ -318,22 +329,44 @@ impl OnlineMap {
     }
 
     /// Joins the last keyframe to a place that it sees again, and adjusts all keyframes; returns
-    /// whether there was one.
+    /// whether there was one. Where the adjustment rejects most of what joins the places, they only look
+    /// alike: the map stays as it was.
     fn close_loop(&mut self) -> bool {
-        let has_lengths = self.is_settled || self.state.has_depth();
+        let has_lengths = match self.state.has_depth() {
+            true => !self.state.is_unscaled,
+            false => self.is_settled,
+        };
         if !self.closes_loops || !has_lengths {
             return false;
         }
-        let observations = close_last_loop(&mut self.state);
+        self.loop_pause = self.loop_pause.saturating_sub(1);
+        if self.loop_pause > 0 {
+            return false;
+        }
+        let as_it_was = (self.state.camera, self.state.poses.clone(), self.state.landmarks.clone());
+        let observations = close_last_loop(&mut self.state, &self.followers);
         if observations.is_empty() {
             return false;
         }
+        self.loop_pause = LOOP_PAUSE;
+        let joined: Vec<(usize, usize)> =
+            observations.iter().map(|(track, o)| (*track, o.frame)).collect();
+        let known_before = self.joining.len();
         self.join(observations);
-        self.has_closed_loop = true;
         let before = posed_keyframes(&self.state);
-        self.adjusted_keyframes = before.len();
         let adjusts_focal = self.adjusts_focal;
         self.state.with_keyframes_alone(|state| adjust_globally(state, adjusts_focal));
+        let tracks = &self.state.tracks.tracks;
+        let is_kept = |(track, frame): &&(usize, usize)| {
+            tracks[*track].observation_in(*frame).is_some_and(|o| !o.is_outlier)
+        };
+        if 2 * joined.iter().filter(is_kept).count() < joined.len() {
+            self.forget_joined_from(known_before);
+            (self.state.camera, self.state.poses, self.state.landmarks) = as_it_was;
+            return false;
+        }
+        self.has_closed_loop = true;
+        self.adjusted_keyframes = before.len();
         move_with_keyframes(&mut self.state, &before, &self.followers);
         self.keep_world();
         true

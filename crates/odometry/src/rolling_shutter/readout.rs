@@ -79,9 +79,12 @@ impl ReadoutSearch {
     }
 
     /// Sets the readout that was found, if it is clearly better than none, and corrects the
-    /// observations.
+    /// observations; nothing where another one was found since the search began.
     pub(crate) fn apply(&self, state: &mut SfmState) {
         let about = self.state.readout;
+        if state.readout != about {
+            return;
+        }
         let best = self.best();
         let accepted = if about == 0.0 { best } else { Some(about) };
         let cost = |readout: f64| self.tried_cost(readout);

@@ -68,11 +68,8 @@ fn a_path_closes_where_it_comes_back() {
     let pictures: Vec<Image<f32>> = (0..truth.len()).into_par_iter().map(noisy).collect();
     let mut open = FrontEnd::new(Intrinsics::Known(camera())).without_loop_closure();
     let mut closed = FrontEnd::new(Intrinsics::Known(camera()));
-    let is_closed = |front_end: &mut FrontEnd| {
-        let updates = track(front_end, pictures.iter().cloned());
-        updates.iter().any(|update| update.is_loop_closed)
-    };
-    assert!(!is_closed(&mut open) && is_closed(&mut closed), "while frames come");
+    let closures = [&mut open, &mut closed].map(|front_end| count_loops(front_end, &pictures));
+    assert!(closures[0] == 0 && (1..=3).contains(&closures[1]), "while frames come: {closures:?}");
     let seams = [&open, &closed].map(|front_end| seam(&front_end.path_so_far(None), &truth));
     assert!(seams[1] < 0.3 * seams[0], "{seams:?}");
     let [open, closed] =
@@ -80,6 +77,12 @@ fn a_path_closes_where_it_comes_back() {
     assert_eq!(closed.trajectory().len(), truth.len());
     let (closed, open) = (path_error(&closed, &truth), path_error(&open, &truth));
     assert!(closed < 0.5 * open, "{closed} {open}");
+}
+
+/// Tracks all pictures; returns the number of frames at which a loop was closed.
+fn count_loops(front_end: &mut FrontEnd, pictures: &[Image<f32>]) -> usize {
+    let updates = track(front_end, pictures.iter().cloned());
+    updates.iter().filter(|update| update.is_loop_closed).count()
 }
 
 /// Distance from where the last frame is to where it should be, as seen from the first one, with the
@@ -123,7 +126,9 @@ fn what_repeats_along_a_way_closes_no_path() {
     };
     let truth: Vec<Pose<f64>> = (0..60).map(way).collect();
     let pictures: Vec<Image<f32>> = truth.par_iter().map(|p| render(*p, 1.0, arcade)).collect();
-    let found = run(&pictures);
+    let mut front_end = FrontEnd::new(Intrinsics::Known(camera()));
+    assert_eq!(count_loops(&mut front_end, &pictures), 0, "loops closed while frames come");
+    let found = front_end.finish(Progress::default()).expect("a path");
     let error = path_error(&found, &truth);
     assert!(error < 0.02 * truth[59].translation.x, "{error}");
 }

@@ -61,7 +61,8 @@ pub struct OnlineUpdate {
     pub timestamp: f64,
     /// Pose at mid-exposure, where it is known. The world is the camera of the first frame in the
     /// map; the unit is the metre with depth from the first frame on, and otherwise half the median
-    /// depth of that frame.
+    /// depth of that frame. By colour alone both change a little where a loop is closed, and stay as
+    /// near to the poses given before as they can.
     pub world_from_camera: Option<Pose<f64>>,
     /// Status of the pose.
     pub status: TrackingStatus,
