@@ -149,7 +149,8 @@ section! {
         /// `gaussian`: 3D Gaussians, or `hashgrid`: a radiance field in a multi-resolution hash
         /// grid.
         kind: MapKind,
-        /// One standard deviation per Gaussian, as SplaTAM, instead of three and a rotation.
+        /// One standard deviation per Gaussian, as SplaTAM. Off: flat Gaussians, each for a square
+        /// of pixels over which colour and surface are plain, split where the map is wrong.
         isotropic: bool,
         /// Largest number of Gaussians; a full map merges similar neighbours.
         capacity: usize,

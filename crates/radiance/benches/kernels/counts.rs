@@ -43,32 +43,32 @@ pub(crate) fn sort(work: &Work) -> Count {
 }
 
 /// `bin.rs`: two readings of items and footprints; per pair an entry and a place. Rows of an
-/// ellipse: 13 per footprint, 33 per pair.
+/// ellipse: 30 per footprint, 33 per pair.
 pub(crate) fn bin(work: &Work) -> Count {
     let bytes = 2 * (8 + FOOTPRINT) * work.visible + 12 * work.pairs;
-    count(13 * work.visible + 33 * work.pairs, bytes)
+    count(30 * work.visible + 33 * work.pairs, bytes)
 }
 
 /// `rasterize/cpu_forward.rs`: offset 1, exponent and its power of two 18, limits 3, weight and
-/// transmittance 2, four planes 8; row 4. Per tile its five planes, written and copied out.
+/// transmittance 2, depth 4, four planes 8; row 4. Per tile its five planes, written and copied out.
 pub(crate) fn blend(work: &Work) -> Count {
     let bytes = (8 + FOOTPRINT) * work.visited + 3 * 5 * 4 * TILE * work.tiles;
-    count(36 * ROW * work.rows, bytes)
+    count(40 * ROW * work.rows, bytes)
 }
 
-/// `rasterize/cpu_backward.rs`: as forward up to the transmittance 28, light from the pixel 8 and
-/// from behind 6, derivative of opacity 2, eleven sums 21; per pair eleven sums over 16 lanes. Per
+/// `rasterize/cpu_backward.rs`: as forward up to the transmittance 28, light from the pixel 12 and
+/// from behind 6, derivative of opacity 2, thirteen sums 26; per pair thirteen sums over 16 lanes. Per
 /// tile five planes of the picture and five of the cotangent.
 pub(crate) fn blend_back(work: &Work) -> Count {
-    let bytes = (8 + FOOTPRINT + 44) * work.visited + 10 * 4 * TILE * work.tiles;
-    count(65 * ROW * work.rows + 11 * 15 * work.visited, bytes)
+    let bytes = (8 + FOOTPRINT + 52) * work.visited + 10 * 4 * TILE * work.tiles;
+    count(74 * ROW * work.rows + 13 * 15 * work.visited, bytes)
 }
 
-/// `project/cpu_backward.rs`: sums 11 per pair; stages 50, conic 3, centre 6, covariance 9, ball
+/// `project/cpu_backward.rs`: sums 13 per pair; stages 50, conic 3, centre 6, covariance 9, ball
 /// 20, mean 35, pose 18, world 15, appearance 30. The gradient's 14 numbers are read and written.
 pub(crate) fn project_back(work: &Work) -> Count {
-    let bytes = (PARAMETERS + FOOTPRINT + 8 + 113) * work.visible + 48 * work.pairs;
-    count(11 * work.pairs + 186 * work.visible, bytes)
+    let bytes = (PARAMETERS + FOOTPRINT + 8 + 113) * work.visible + 56 * work.pairs;
+    count(13 * work.pairs + 186 * work.visible, bytes)
 }
 
 /// Operations of a sample of a hash-grid field, forward and back to the field. Of its networks

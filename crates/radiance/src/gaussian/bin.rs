@@ -308,15 +308,21 @@ pub(crate) struct Ellipse {
     pub(crate) lowest: f32,
     /// `1 / w`.
     pub(crate) inverse_width: f32,
+    /// `r`.
+    pub(crate) height_at_centre: f32,
 }
 
 impl Ellipse {
     #[inline(always)]
     pub(crate) fn of(splat: &Splat) -> Self {
         let [a, b, c] = splat.exponent;
-        let [width, height] = splat.extent;
+        // -a dx² - b dx dy - c dy² <= reach, with a margin for rounding as in the box of its tiles.
+        let half = |squared: f32| 1.001 * squared.sqrt() + 0.01;
+        let area = splat.reach / (4.0 * a * c - b * b);
+        let (width, height) = (half(-4.0 * c * area), half(-4.0 * a * area));
+        let height_at_centre = half(-splat.reach / c);
         let lowest = -b / (2.0 * a) * height;
-        Self { slope: -b / (2.0 * c), lowest, inverse_width: width.recip() }
+        Self { slope: -b / (2.0 * c), lowest, inverse_width: width.recip(), height_at_centre }
     }
 
     /// First and end row of the tile that are touched.
@@ -325,8 +331,8 @@ impl Ellipse {
         let left = (column * TILE) as f32 + 0.5 - splat.centre[0];
         let right = left + (TILE - 1) as f32;
         let (low, high) = (self.lowest.max(left).min(right), (-self.lowest).max(left).min(right));
-        let bottom = self.slope * low + self.reach(splat, low);
-        let top = self.slope * high - self.reach(splat, high);
+        let bottom = self.slope * low + self.reach(low);
+        let top = self.slope * high - self.reach(high);
         // Row j has its centre at j + 1/2.
         let start = (row * TILE) as f32 - splat.centre[1];
         let limit = |v: f32| nearest((v - start).max(0.0).min(TILE as f32));
@@ -335,8 +341,8 @@ impl Ellipse {
     }
 
     #[inline(always)]
-    fn reach(&self, splat: &Splat, dx: f32) -> f32 {
+    fn reach(&self, dx: f32) -> f32 {
         let part = dx * self.inverse_width;
-        splat.height_at_centre * (1.0 - part * part).max(0.0).sqrt() + 0.01
+        self.height_at_centre * (1.0 - part * part).max(0.0).sqrt() + 0.01
     }
 }

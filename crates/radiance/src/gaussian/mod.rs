@@ -7,6 +7,7 @@
 //! μ  = (fx x/z + cx, fy y/z + cy)                  centre \[px\]
 //! Σ₂ = J W Σ Wᵀ Jᵀ + screen_variance · I           covariance \[px²\]
 //! α  = min(alpha_max, o exp(-½ dᵀ Σ₂⁻¹ d))         at the pixel centre μ + d
+//! z  = p_z + dᵀ Σ₂⁻¹ J V e_z,  V = W Σ Wᵀ            depth there \[m\]
 //! ```
 //!
 //! and a pixel is the sum of equations 3 and 4 of the paper, in order of the depth `z` of the

@@ -15,6 +15,12 @@ impl Anchors {
         self.0.resize(count, frame);
     }
 
+    /// Appends Gaussians anchored as these ones.
+    pub(super) fn inherit(&mut self, parents: &[usize]) {
+        let anchors: Vec<usize> = parents.iter().map(|&parent| self.0[parent]).collect();
+        self.0.extend(anchors);
+    }
+
     /// Drops the anchors of removed Gaussians.
     pub(super) fn retain(&mut self, keep: &[bool]) {
         let mut kept = keep.iter();

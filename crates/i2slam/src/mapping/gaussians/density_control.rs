@@ -6,7 +6,7 @@ use crate::objective::Observation;
 use i2slam_compute::median;
 use i2slam_formation::Formation;
 use i2slam_geometry::{Camera, Image, Pose, Tangent, Vec3};
-use i2slam_radiance::gaussian::{Gaussian, GaussianMap, Render};
+use i2slam_radiance::gaussian::{ColourActivation, Gaussian, GaussianMap, Render};
 use std::sync::Arc;
 
 /// Rendered opacity below which a pixel receives a new Gaussian (SplaTAM).
@@ -35,23 +35,8 @@ pub(super) struct SourceFrame<'a> {
     pub(super) tone: Option<Formation<'a>>,
 }
 
-/// Adds one Gaussian per pixel.
-pub(super) fn seed_map(
-    map: &mut GaussianMap,
-    parameters: &GaussianParameters,
-    source: &SourceFrame<'_>,
-) {
-    let every: Vec<usize> = (0..source.observation.depth.data.len()).collect();
-    push_gaussians(map, parameters, source, &every);
-}
-
-/// Adds Gaussians at pixels of low opacity or far in front of the rendered surface.
-pub(super) fn add_gaussians(
-    map: &mut GaussianMap,
-    parameters: &GaussianParameters,
-    source: &SourceFrame<'_>,
-    render: &Render,
-) {
+/// Marks the pixels of low opacity or far in front of the rendered surface.
+pub(super) fn unexplained_pixels(source: &SourceFrame<'_>, render: &Render) -> Vec<bool> {
     let observed = &source.observation.depth.data;
     let errors: Vec<f32> = render
         .depth
@@ -61,14 +46,12 @@ pub(super) fn add_gaussians(
         .map(|(r, &o)| if o > 0.0 { (r - o).abs() } else { 0.0 })
         .collect();
     let limit = MAX_DEPTH_ERROR * median_depth_error(source.observation, &errors);
-    let unexplained: Vec<usize> = (0..observed.len())
-        .filter(|&i| {
-            let open = render.opacity.data[i] < MAX_OPEN_OPACITY;
-            let in_front = render.depth.data[i] > observed[i] && errors[i] > limit;
-            open || in_front
-        })
-        .collect();
-    push_gaussians(map, parameters, source, &unexplained);
+    let is_unexplained = |i: usize| {
+        let open = render.opacity.data[i] < MAX_OPEN_OPACITY;
+        let in_front = render.depth.data[i] > observed[i] && errors[i] > limit;
+        open || in_front
+    };
+    (0..observed.len()).map(is_unexplained).collect()
 }
 
 /// Median absolute depth error. SplaTAM counts pixels without depth as exact; where estimated depth
@@ -98,39 +81,54 @@ pub(super) fn prune(map: &mut GaussianMap, scene_radius: f32) -> Vec<bool> {
     keep
 }
 
-fn push_gaussians(
+/// Adds a ball for every marked pixel.
+pub(super) fn push_balls(
     map: &mut GaussianMap,
     parameters: &GaussianParameters,
     source: &SourceFrame<'_>,
-    pixels: &[usize],
+    wanted: &[bool],
 ) {
-    let focal = 0.5 * (source.camera.fx + source.camera.fy);
-    let opacity_logit = logit(parameters.initial_opacity);
-    for &pixel in pixels {
-        let z = source.depth.data[pixel];
-        if z <= 0.0 {
-            continue;
+    for pixel in (0..wanted.len()).filter(|pixel| wanted[*pixel]) {
+        if let Some(ball) = ball(map.activation, parameters, source, pixel) {
+            map.push(ball);
         }
-        let (column, row) = (pixel % source.camera.width, pixel / source.camera.width);
+    }
+}
+
+/// A ball of about a pixel's size; `None` without depth or radiance.
+pub(super) fn ball(
+    activation: ColourActivation,
+    parameters: &GaussianParameters,
+    source: &SourceFrame<'_>,
+    pixel: usize,
+) -> Option<Gaussian<f32>> {
+    let (point, radiance) = source.surface_point(pixel)?;
+    let focal = 0.5 * (source.camera.fx + source.camera.fy);
+    let log_scale = (parameters.initial_scale * source.depth.data[pixel] / focal as f32).ln();
+    Some(Gaussian {
+        mean: (source.world_from_depth * point).cast::<f32>().to_array(),
+        log_scale: [log_scale; 3],
+        rotation: [1.0, 0.0, 0.0, 0.0],
+        opacity_logit: logit(parameters.initial_opacity),
+        colour: activation.colour(radiance),
+    })
+}
+
+impl SourceFrame<'_> {
+    /// Point of the surface at a pixel, in the camera when the depth picture was taken, and its
+    /// radiance.
+    pub(super) fn surface_point(&self, pixel: usize) -> Option<(Vec3<f64>, [f32; 3])> {
+        let z = self.depth.data[pixel];
+        let (column, row) = (pixel % self.camera.width, pixel / self.camera.width);
         let (u, v) = Camera::<f64>::pixel_centre(column, row);
-        let point = source.camera.unproject(u, v, f64::from(z));
-        let Some(radiance) = radiance_of_point(source, source.colour_from_depth * point) else {
-            continue;
-        };
-        let mean = (source.world_from_depth * point).cast::<f32>().to_array();
-        let log_scale = (parameters.initial_scale * z / focal as f32).ln();
-        map.push(Gaussian {
-            mean,
-            log_scale: [log_scale; 3],
-            rotation: [1.0, 0.0, 0.0, 0.0],
-            opacity_logit,
-            colour: map.activation.colour(radiance),
-        });
+        let point = self.camera.unproject(u, v, f64::from(z));
+        let radiance = (z > 0.0).then(|| radiance_of_point(self, self.colour_from_depth * point));
+        Some((point, radiance??))
     }
 }
 
 /// Radiance of a point in the camera at mid-exposure, from the picture; `None` outside of it.
-fn radiance_of_point(source: &SourceFrame<'_>, point: Vec3<f64>) -> Option<[f32; 3]> {
+pub(super) fn radiance_of_point(source: &SourceFrame<'_>, point: Vec3<f64>) -> Option<[f32; 3]> {
     let colour = &source.observation.colour;
     let (u, v) = project_rolling(source.camera, source.velocity, source.readout, point)?;
     if !source.camera.contains(u, v, 0.0) {

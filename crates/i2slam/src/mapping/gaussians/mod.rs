@@ -2,8 +2,12 @@
 
 mod anchors;
 mod density_control;
+mod flat_gaussians;
 mod merge;
 mod optimizer;
+mod quadtree;
+mod scale_bounds;
+mod splitting;
 
 use super::context::IterationBudget;
 use super::context::{MappingContext, OnStep};
@@ -16,7 +20,8 @@ use crate::objective::{FrameObjective, Observation};
 use crate::reconstruction::Map;
 use crate::tracking::{TrackingContext, TrackingResult, sampling};
 use anchors::Anchors;
-use density_control::{SourceFrame, add_gaussians, prune, seed_map};
+use density_control::{SourceFrame, prune, push_balls, unexplained_pixels};
+use flat_gaussians::{push_flat_gaussians, quadtree};
 use i2slam_formation::{CameraResponse, CentreVelocity, Formation, TrajectoryScale};
 use i2slam_geometry::{Camera, Image, Pose};
 use i2slam_radiance::Render;
@@ -24,6 +29,8 @@ use i2slam_radiance::gaussian::{ColourActivation, GaussianMap, RasterSettings, S
 use i2slam_radiance::hashgrid::SettingsError;
 use merge::merge;
 use optimizer::GaussianOptimizer;
+use scale_bounds::ScaleBounds;
+use splitting::split_gaussians;
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 use std::sync::Arc;
@@ -38,6 +45,7 @@ pub(crate) struct GaussianMapper {
     current: ComparedMap<GaussianMap>,
     optimizer: GaussianOptimizer,
     anchors: Anchors,
+    scale_bounds: ScaleBounds,
     /// Largest depth of the first frame over the preset's ratio [m].
     scene_radius: f32,
     /// Whether the warning of a full map was given.
@@ -66,6 +74,7 @@ impl GaussianMapper {
             },
             optimizer: GaussianOptimizer::new(),
             anchors: Anchors::default(),
+            scale_bounds: ScaleBounds::default(),
             scene_radius: f32::INFINITY,
             is_full: false,
         }
@@ -78,6 +87,7 @@ impl GaussianMapper {
         let observation = keyframe.observation.get();
         let sampling = sampling(formation, context.camera, exposure, &observation);
         self.optimizer.step(context, &mut self.current, (keyframe, &observation), sampling);
+        self.scale_bounds.clamp(&mut self.current.map);
     }
 
     fn prune(&mut self) {
@@ -91,6 +101,7 @@ impl GaussianMapper {
     fn retain(&mut self, keep: &[bool]) {
         self.optimizer.retain(keep);
         self.anchors.retain(keep);
+        self.scale_bounds.retain(keep);
     }
 
     /// Merges Gaussians of a map beyond its capacity, with room for the next frames.
@@ -102,6 +113,7 @@ impl GaussianMapper {
         let target = (MERGED_SHARE * capacity as f64) as usize;
         let keep = merge(&mut self.current.map, target..=capacity);
         self.retain(&keep);
+        self.scale_bounds.include(&self.current.map);
         if !self.is_full {
             self.is_full = true;
             let warning = format!(
@@ -168,12 +180,24 @@ impl Mapper for GaussianMapper {
             ),
             tone: curve.as_ref().map(|curve| Formation { tone: estimate.tone, curve }),
         };
-        if let Some(render) = &render {
-            add_gaussians(&mut self.current.map, parameters, &source, render);
-        } else {
-            let farthest = observation.depth.data.iter().copied().fold(0.0, f32::max);
-            self.scene_radius = farthest / parameters.scene_radius_ratio;
-            seed_map(&mut self.current.map, parameters, &source);
+        let wanted = match &render {
+            Some(render) => unexplained_pixels(&source, render),
+            None => {
+                let farthest = observation.depth.data.iter().copied().fold(0.0, f32::max);
+                self.scene_radius = farthest / parameters.scene_radius_ratio;
+                vec![true; observation.depth.data.len()]
+            }
+        };
+        let map = &mut self.current.map;
+        match map.shape {
+            Shape::Isotropic => push_balls(map, parameters, &source, &wanted),
+            Shape::Anisotropic => {
+                let (tree, bounds) = (quadtree(&source), &mut self.scale_bounds);
+                if let Some(render) = &render {
+                    self.anchors.inherit(&split_gaussians(map, bounds, &source, render, &tree));
+                }
+                push_flat_gaussians(map, bounds, parameters, &source, &tree.squares(&wanted));
+            }
         }
         self.anchors.extend_to(self.current.map.len(), context.frames[current.frame].index);
         self.enforce_capacity(context);

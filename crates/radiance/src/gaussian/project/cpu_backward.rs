@@ -5,7 +5,7 @@
 //! in the image is `B Bᵀ` plus the low-pass; a turn of the camera by `φ` moves the columns of `A`
 //! by `-φ ×` themselves. The covariance of a ball does not turn, so that only `J` is left of it.
 
-use super::stages::{Axes, Frame, Parameters, Stages, put};
+use super::stages::{Axes, Frame, Parameters, Stages, put, symmetric_product};
 use super::{CHUNK, Chunk, MotionFrame, Splat};
 use crate::gaussian::bin::Bins;
 use crate::gaussian::map::GradientRows;
@@ -163,6 +163,7 @@ pub(super) struct Group {
     first: [Column; 2],
     second: [Column; 3],
     depth: Column,
+    depth_first: [Column; 2],
     zeroth: Column,
     d_radiance: [Column; 3],
     pub(super) weight: Column,
@@ -197,6 +198,7 @@ impl Group {
         put(&mut self.first, place, &sum.first);
         put(&mut self.second, place, &sum.second);
         put(&mut self.d_radiance, place, &sum.radiance);
+        put(&mut self.depth_first, place, &sum.depth_first);
         self.depth[place] = sum.depth;
         self.zeroth[place] = sum.zeroth;
         self.weight[place] = sum.weight;
@@ -226,6 +228,7 @@ impl Group {
         let [a, b, c] = Lanes::load_all(simd, &self.exponent);
         let conic = [a.scale(-2.0 * LN_2), b.scale(-LN_2), c.scale(-2.0 * LN_2)];
         let mut d_centre = symmetric_product(conic, Lanes::load_all(simd, &self.first));
+        let d_depth = Lanes::load(simd, &self.depth);
         let mut path = None;
         if let Some(motion) = motion {
             let d_velocity = symmetric_product(conic, Lanes::load_all(simd, &self.velocity));
@@ -235,12 +238,24 @@ impl Group {
             }
             path = Some(motion.pull_back(simd, &self.parameters, d_velocity, d_curvature));
         }
-        let screen = covariance_cotangent(conic, Lanes::load_all(simd, &self.second));
+        let mut screen = covariance_cotangent(conic, Lanes::load_all(simd, &self.second));
         let (d_jacobian, turn) = match &stages.axes {
-            Some(axes) => self.pull_back_axes::<S, MAP>(frame, &stages, axes, screen),
+            Some(axes) => {
+                let slope = symmetric_product(conic, stages.depth_covariance(axes));
+                let d_slope = Lanes::load_all(simd, &self.depth_first);
+                let d_across = symmetric_product(conic, d_slope);
+                // h = K c: dL/dc = K dL/dh, and dL/dΣ₂ = -½ (dL/dc hᵀ + h dL/dcᵀ).
+                let [[g, k], [x, y]] = [d_across, slope];
+                screen =
+                    [screen[0] - g * x, screen[1] - (g * y + k * x).scale(0.5), screen[2] - k * y];
+                // The depth at a pixel is z + h · (pixel - centre); moving splats count it already.
+                if motion.is_none() {
+                    (0..2).for_each(|k| d_centre[k] = d_centre[k] - slope[k] * d_depth);
+                }
+                self.pull_back_axes::<S, MAP>(frame, &stages, axes, screen, d_across)
+            }
             None => self.pull_back_ball::<S, MAP>(&stages, screen),
         };
-        let d_depth = Lanes::load(simd, &self.depth);
         let d_p = mean_cotangent(frame, &stages, d_centre, d_jacobian, d_depth);
         let moment = cross(stages.p, d_p);
         for k in 0..3 {
@@ -294,19 +309,27 @@ impl Group {
         stages: &Stages<S>,
         axes: &Axes<S>,
         [xx, xy, yy]: [Lanes<S>; 3],
+        d_across: [Lanes<S>; 2],
     ) -> ([[Lanes<S>; 2]; 2], [Lanes<S>; 3]) {
         let (j, [a0, a1, a2]) = (&stages.jacobian, axes.rows);
         let [bx, by] = stages.screen_axes(axes);
         // Σ₂ = B Bᵀ: dL/dB = 2 G B, dL/dJ = dL/dB Aᵀ, dL/dA = Jᵀ dL/dB.
         let (xx, xy, yy) = (xx.scale(2.0), xy.scale(2.0), yy.scale(2.0));
-        let (d_bx, d_by) = (combine(xx, bx, xy, by), combine(xy, bx, yy, by));
+        let (mut d_bx, mut d_by) = (combine(xx, bx, xy, by), combine(xy, bx, yy, by));
+        // c = B a_z.
+        for k in 0..3 {
+            d_bx[k] += d_across[0] * a2[k];
+            d_by[k] += d_across[1] * a2[k];
+        }
         let d_jacobian = [[dot(d_bx, a0), dot(d_bx, a2)], [dot(d_by, a1), dot(d_by, a2)]];
         let zero = xx.constant(0.0);
-        let d_rows = [
+        let mut d_rows = [
             combine(j.x[0], d_bx, zero, d_by),
             combine(zero, d_bx, j.y[0], d_by),
             combine(j.x[1], d_bx, j.y[1], d_by),
         ];
+        let d_depth_row = combine(d_across[0], bx, d_across[1], by);
+        (0..3).for_each(|k| d_rows[2][k] += d_depth_row[k]);
         let columns = |m: &[[Lanes<S>; 3]; 3], k: usize| [m[0][k], m[1][k], m[2][k]];
         let mut turn = [zero; 3];
         let mut d_rotation = [[zero; 3]; 3];
@@ -346,12 +369,6 @@ impl Group {
             d.store(&mut self.d_colour[k]);
         }
     }
-}
-
-/// `K d` of the symmetric matrix `K = [[a, b], [b, c]]`.
-#[inline(always)]
-fn symmetric_product<S: Simd>([a, b, c]: [Lanes<S>; 3], [x, y]: [Lanes<S>; 2]) -> [Lanes<S>; 2] {
-    [a * x + b * y, b * x + c * y]
 }
 
 /// `∂L/∂Σ₂` as a symmetric matrix `[xx, xy, yy]`, from the second moments `M = Σ e d dᵀ`: with

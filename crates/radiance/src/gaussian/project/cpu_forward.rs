@@ -5,7 +5,7 @@
 
 use super::path::Path;
 use super::path::{MotionFrame, PathColumns};
-use super::stages::{Frame, Parameters, put};
+use super::stages::{Frame, Parameters, put, symmetric_product};
 use super::{CHUNK, Chunk, Splat};
 use crate::gaussian::bin::{TILE, TileGrid};
 use crate::gaussian::{ColourActivation, GaussianMap, RasterSettings, Shape, View, sort};
@@ -149,8 +149,8 @@ struct Group {
     exponent: [Column; 3],
     log2_opacity: Column,
     depth: Column,
-    extent: [Column; 2],
-    height_at_centre: Column,
+    depth_slope: [Column; 2],
+    reach: Column,
     /// First column, first row, end column, end row of the pixels within the extent.
     pixels: [Column; 4],
     /// With a moving camera.
@@ -183,10 +183,15 @@ impl Group {
         let accepted = depth & opaque & invalid.within(0.0, 0.0);
         let accepted = accepted & determinant.within(f32::MIN_POSITIVE, f32::MAX);
 
-        let reach2 = (log2_opacity - logit.constant(frame.log2_alpha_min)).scale(2.0 * LN_2);
+        let reach = log2_opacity - logit.constant(frame.log2_alpha_min);
+        let reach2 = reach.scale(2.0 * LN_2);
         let extent = [half(reach2 * xx), half(reach2 * yy)];
         self.store_extent(grid, motion, centre, extent, accepted);
-        half(reach2 * conic[2].recip()).store(&mut self.height_at_centre);
+        reach.store(&mut self.reach);
+        if let Some(axes) = &stages.axes {
+            let slope = symmetric_product(conic, stages.depth_covariance(axes));
+            (0..2).for_each(|k| slope[k].store(&mut self.depth_slope[k]));
+        }
         conic[0].scale(-0.5 * LOG2_E).store(&mut self.exponent[0]);
         conic[1].scale(-LOG2_E).store(&mut self.exponent[1]);
         conic[2].scale(-0.5 * LOG2_E).store(&mut self.exponent[2]);
@@ -214,7 +219,6 @@ impl Group {
         }
         for axis in 0..2 {
             centre[axis].store(&mut self.centre[axis]);
-            extent[axis].store(&mut self.extent[axis]);
         }
         store_box(&mut self.pixels, grid, centre, shifts, extent, accepted);
     }
@@ -260,8 +264,8 @@ impl Group {
         splat.centre = take(&self.centre, place);
         splat.exponent = take(&self.exponent, place);
         splat.radiance = take(&self.radiance, place);
-        splat.extent = take(&self.extent, place);
-        splat.height_at_centre = self.height_at_centre[place];
+        splat.depth_slope = take(&self.depth_slope, place);
+        splat.reach = self.reach[place];
         splat.log2_opacity = self.log2_opacity[place];
         splat.depth = self.depth[place];
     }

@@ -56,10 +56,10 @@ pub(crate) struct Splat {
     pub(crate) radiance: [f32; 3],
     /// Depth of the mean \[m\].
     pub(crate) depth: f32,
-    /// Half the width and height of the extent \[px\].
-    pub(crate) extent: [f32; 2],
-    /// Half the height of the extent at the column of the centre \[px\].
-    pub(crate) height_at_centre: f32,
+    /// Change of depth by column and row \[m/px\].
+    pub(crate) depth_slope: [f32; 2],
+    /// `log₂` of the opacity over `alpha_min`: what the exponent may fall by within the extent.
+    pub(crate) reach: f32,
     /// Tiles that the extent's box touches: first column, first row, end column, end row.
     pub(crate) tiles: [u16; 4],
     /// Position of the first of this splat's tiles among those of its chunk.
@@ -72,6 +72,14 @@ impl Splat {
     pub(crate) fn gradient(&self, d: [f32; 2]) -> [f32; 2] {
         let ([a, b, c], [x, y]) = (self.exponent, d);
         [-LN_2 * (2.0 * a * x + b * y), -LN_2 * (b * x + 2.0 * c * y)]
+    }
+
+    /// `Σ₂ d`.
+    #[inline(always)]
+    pub(crate) fn covariance_product(&self, [x, y]: [f32; 2]) -> [f32; 2] {
+        let [a, b, c] = self.exponent;
+        let factor = -2.0 / (LN_2 * (4.0 * a * c - b * b));
+        [factor * (c * x - 0.5 * b * y), factor * (a * y - 0.5 * b * x)]
     }
 
     /// Number of tiles that the extent's box touches.

@@ -23,6 +23,8 @@ pub(crate) struct Footprint<T> {
     pub(crate) radiance: [T; 3],
     /// Depth of the mean \[m\].
     pub(crate) depth: T,
+    /// Change of depth by column and row `h` \[m/px\].
+    pub(crate) depth_slope: [T; 2],
 }
 
 /// `∂L/∂` of each number of a [`Footprint`].
@@ -34,6 +36,7 @@ pub(crate) struct FootprintCotangent<T> {
     pub(crate) opacity: T,
     pub(crate) radiance: [T; 3],
     pub(crate) depth: T,
+    pub(crate) depth_slope: [T; 2],
 }
 
 /// `∂L/∂` of the tangents of `world_from_camera` at mid-exposure and at both ends.
@@ -106,14 +109,16 @@ impl<T: Real> Projector<T> {
             return None;
         }
         let (u, v) = self.camera.project(stages.p);
+        let conic = inverse(self.screen_covariance(&stages))?;
         let footprint = Footprint {
             index,
             centre: [u, v],
             path: self.ends.path(Vec3::from_array(gaussian.mean), [u, v])?,
-            conic: inverse(self.screen_covariance(&stages))?,
+            conic,
             opacity,
             radiance: self.activation.radiance(gaussian.colour),
             depth: stages.p.z,
+            depth_slope: self.depth_slope(&stages, conic),
         };
         let finite = [footprint.centre.as_slice(), &footprint.conic, &footprint.radiance];
         finite.iter().all(|v| v.iter().all(|x| x.is_finite())).then_some(footprint)
@@ -163,6 +168,21 @@ impl<T: Real> Projector<T> {
         [x.dot(v * x) + s, x.dot(v * y), y.dot(v * y) + s]
     }
 
+    /// `c = J V e_z`, the covariance of pixel and depth; zero for balls.
+    fn depth_covariance(&self, stages: &Stages<T>) -> [T; 2] {
+        let across = stages.covariance * Vec3::new(T::zero(), T::zero(), T::one());
+        match self.shape {
+            Shape::Isotropic => [T::zero(); 2],
+            Shape::Anisotropic => stages.jacobian.map(|row| row.dot(across)),
+        }
+    }
+
+    /// `h = Σ₂⁻¹ c`.
+    fn depth_slope(&self, stages: &Stages<T>, [a, b, c]: [T; 3]) -> [T; 2] {
+        let [x, y] = self.depth_covariance(stages);
+        [a * x + b * y, b * x + c * y]
+    }
+
     /// `∂L/∂` of the parameters and of the poses, after [`project`](Self::project).
     pub(crate) fn pull_back(
         &self,
@@ -171,18 +191,33 @@ impl<T: Real> Projector<T> {
         cotangent: &FootprintCotangent<T>,
     ) -> Option<(Gaussian<T>, PoseCotangents<T>)> {
         let stages = self.stages(gaussian)?;
-        let screen = inverse_cotangent(footprint.conic, cotangent.conic);
         let [jx, jy] = stages.jacobian;
         let v = stages.covariance;
-        let two = T::of(2.0);
-        // Σ₂ = J V Jᵀ: dL/dJ = 2 G J V and dL/dV = Jᵀ G J.
-        let d_jacobian = [
-            (v * (jx * screen[0] + jy * screen[1])) * two,
-            (v * (jx * screen[1] + jy * screen[2])) * two,
+        let (two, half) = (T::of(2.0), T::of(0.5));
+        // h = K c: dL/dK = dL/dh cᵀ, dL/dc = K dL/dh.
+        let ([cx, cy], [hx, hy]) = (self.depth_covariance(&stages), cotangent.depth_slope);
+        let [a, b, c] = footprint.conic;
+        let d_conic = [
+            cotangent.conic[0] + hx * cx,
+            cotangent.conic[1] + hx * cy + hy * cx,
+            cotangent.conic[2] + hy * cy,
         ];
+        let screen = inverse_cotangent(footprint.conic, d_conic);
+        let across = match self.shape {
+            Shape::Isotropic => [T::zero(); 2],
+            Shape::Anisotropic => [a * hx + b * hy, b * hx + c * hy],
+        };
+        // Σ₂ = J V Jᵀ: dL/dJ = 2 G J V and dL/dV = Jᵀ G J; c = J V e: dL/dJ = dL/dc (V e)ᵀ.
+        let e = Vec3::new(T::zero(), T::zero(), T::one());
+        let d_jacobian = [
+            (v * (jx * screen[0] + jy * screen[1])) * two + (v * e) * across[0],
+            (v * (jx * screen[1] + jy * screen[2])) * two + (v * e) * across[1],
+        ];
+        let through = jx * across[0] + jy * across[1];
         let d_covariance = Mat3::outer(jx, jx).scaled(screen[0])
             + (Mat3::outer(jx, jy) + Mat3::outer(jy, jx)).scaled(screen[1])
-            + Mat3::outer(jy, jy).scaled(screen[2]);
+            + Mat3::outer(jy, jy).scaled(screen[2])
+            + (Mat3::outer(through, e) + Mat3::outer(e, through)).scaled(half);
         let d_p = self.mean_cotangent(stages.p, d_jacobian, cotangent);
         let mean = Vec3::from_array(gaussian.mean);
         let (through_path, ends) = self.ends.pull_back(mean, &cotangent.path);

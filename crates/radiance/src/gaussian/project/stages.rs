@@ -182,6 +182,12 @@ impl<S: Simd> Stages<S> {
         ]
     }
 
+    /// `c = J V e_z = B a_z`, the covariance of pixel and depth.
+    #[inline(always)]
+    pub(crate) fn depth_covariance(&self, axes: &Axes<S>) -> [Lanes<S>; 2] {
+        self.screen_axes(axes).map(|row| dot(row, axes.rows[2]))
+    }
+
     /// Rows of `B = J A`.
     #[inline(always)]
     pub(crate) fn screen_axes(&self, axes: &Axes<S>) -> [[Lanes<S>; 3]; 2] {
@@ -191,4 +197,13 @@ impl<S: Simd> Stages<S> {
             combine(j.y[0], axes.rows[1], j.y[1], axes.rows[2]),
         ]
     }
+}
+
+/// `K d` of the symmetric matrix `K = [[a, b], [b, c]]`.
+#[inline(always)]
+pub(crate) fn symmetric_product<S: Simd>(
+    [a, b, c]: [Lanes<S>; 3],
+    [x, y]: [Lanes<S>; 2],
+) -> [Lanes<S>; 2] {
+    [a * x + b * y, b * x + c * y]
 }

@@ -8,7 +8,7 @@
 //! ∂L/∂α_i = T_i q_i - (S - Σ_{j<=i} q_j α_j T_j) / (1 - α_i)
 //! ```
 //!
-//! so that nothing but `T` and the remainder is carried along. Per splat and tile ten sums are
+//! so that nothing but `T` and the remainder is carried along. Per splat and tile a dozen sums are
 //! kept in registers, reduced once and written to their own slot: nothing is added by two
 //! threads.
 
@@ -30,6 +30,8 @@ pub(crate) struct TileSums {
     pub(crate) second: [f32; 3],
     /// `Σ w ∂L/∂depth`.
     pub(crate) depth: f32,
+    /// `Σ w ∂L/∂depth dx, Σ w ∂L/∂depth dy`.
+    pub(crate) depth_first: [f32; 2],
     /// `Σ e`. Only with the map.
     pub(crate) zeroth: f32,
     /// `Σ w ∂L/∂radiance`. Only with the map.
@@ -41,6 +43,7 @@ pub(crate) struct TileSums {
 impl TileSums {
     pub(crate) fn add(&mut self, other: &Self) {
         (0..2).for_each(|k| self.first[k] += other.first[k]);
+        (0..2).for_each(|k| self.depth_first[k] += other.depth_first[k]);
         (0..3).for_each(|k| self.second[k] += other.second[k]);
         (0..3).for_each(|k| self.radiance[k] += other.radiance[k]);
         self.depth += other.depth;
@@ -173,6 +176,7 @@ pub(super) struct Sums<S: Simd> {
     pub(super) first: [S::f32s; 2],
     pub(super) second: [S::f32s; 3],
     pub(super) depth: S::f32s,
+    pub(super) depth_first: [S::f32s; 2],
     pub(super) zeroth: S::f32s,
     pub(super) radiance: [S::f32s; 3],
     pub(super) weight: S::f32s,
@@ -186,6 +190,7 @@ impl<S: Simd> Sums<S> {
             first: [zero; 2],
             second: [zero; 3],
             depth: zero,
+            depth_first: [zero; 2],
             zeroth: zero,
             radiance: [zero; 3],
             weight: zero,
@@ -197,6 +202,7 @@ impl<S: Simd> Sums<S> {
         let mut slot = TileSums::default();
         for k in 0..2 {
             slot.first[k] = simd.reduce_sum_f32s(self.first[k]);
+            slot.depth_first[k] = simd.reduce_sum_f32s(self.depth_first[k]);
         }
         for k in 0..3 {
             slot.second[k] = simd.reduce_sum_f32s(self.second[k]);
@@ -246,9 +252,10 @@ fn pull_back_row<S: Simd, const MAP: bool>(
         let alpha = simd.min_f32s(free, limits.alpha_max);
         let step = advance(simd, limits, alpha, transmittance[v]);
         let mut q = cotangent[4][v];
-        for k in 0..4 {
-            q = simd.mul_add_e_f32s(cotangent[k][v], value.0[k], q);
+        for k in 0..3 {
+            q = simd.mul_add_e_f32s(cotangent[k][v], value.radiance[k], q);
         }
+        q = simd.mul_add_e_f32s(cotangent[3][v], value.depth(simd, dx, exponent.dy), q);
         let behind = simd.negate_mul_add_e_f32s(step.weight, q, remainder[v]);
         let one = simd.splat_f32s(1.0);
         let from_behind = simd.div_f32s(behind, simd.sub_f32s(one, alpha));
@@ -263,6 +270,9 @@ fn pull_back_row<S: Simd, const MAP: bool>(
         accumulate(simd, &mut sums.second[1], ex, exponent.dy);
         accumulate(simd, &mut sums.second[2], ey, exponent.dy);
         accumulate(simd, &mut sums.depth, step.weight, cotangent[3][v]);
+        let d_depth = simd.mul_f32s(step.weight, cotangent[3][v]);
+        accumulate(simd, &mut sums.depth_first[0], d_depth, dx);
+        accumulate(simd, &mut sums.depth_first[1], d_depth, exponent.dy);
         if MAP {
             sums.zeroth = simd.add_f32s(sums.zeroth, e);
             accumulate(simd, &mut sums.weight, step.weight, nonzero[v]);

@@ -168,18 +168,29 @@ impl<S: Simd> ExponentRow<S> {
 }
 
 /// Radiance and depth of a splat, in vectors.
-pub(super) struct Value<S: Simd>(pub(super) [S::f32s; PLANES - 1]);
+pub(super) struct Value<S: Simd> {
+    pub(super) radiance: [S::f32s; 3],
+    /// Depth at the centre, and its changes by column and row.
+    depth: S::f32s,
+    depth_slope: [S::f32s; 2],
+}
 
 impl<S: Simd> Value<S> {
     #[inline(always)]
     pub(super) fn new(simd: S, splat: &Splat) -> Self {
-        let [r, g, b] = splat.radiance;
-        Self([
-            simd.splat_f32s(r),
-            simd.splat_f32s(g),
-            simd.splat_f32s(b),
-            simd.splat_f32s(splat.depth),
-        ])
+        let ([r, g, b], [x, y]) = (splat.radiance, splat.depth_slope);
+        Self {
+            radiance: [simd.splat_f32s(r), simd.splat_f32s(g), simd.splat_f32s(b)],
+            depth: simd.splat_f32s(splat.depth),
+            depth_slope: [simd.splat_f32s(x), simd.splat_f32s(y)],
+        }
+    }
+
+    /// Depth at an offset from the centre.
+    #[inline(always)]
+    pub(super) fn depth(&self, simd: S, dx: S::f32s, dy: S::f32s) -> S::f32s {
+        let [x, y] = self.depth_slope;
+        simd.mul_add_e_f32s(x, dx, simd.mul_add_e_f32s(y, dy, self.depth))
     }
 }
 
@@ -202,13 +213,15 @@ fn composite_row<S: Simd>(
         S::as_mut_simd_f32s(z).0,
     ];
     for v in 0..TILE / S::F32_LANES {
-        let alpha = exponent.alpha(simd, exponent.dx(simd, v));
-        let alpha = simd.min_f32s(alpha, limits.alpha_max);
+        let dx = exponent.dx(simd, v);
+        let alpha = simd.min_f32s(exponent.alpha(simd, dx), limits.alpha_max);
         let step = advance(simd, limits, alpha, transmittance[v]);
         transmittance[v] = step.next;
-        for k in 0..PLANES - 1 {
-            planes[k][v] = simd.mul_add_e_f32s(step.weight, value.0[k], planes[k][v]);
+        for k in 0..3 {
+            planes[k][v] = simd.mul_add_e_f32s(step.weight, value.radiance[k], planes[k][v]);
         }
+        let depth = value.depth(simd, dx, exponent.dy);
+        planes[3][v] = simd.mul_add_e_f32s(step.weight, depth, planes[3][v]);
     }
 }
 

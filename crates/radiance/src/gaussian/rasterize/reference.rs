@@ -142,7 +142,9 @@ impl<T: Real> Contribution<T> {
     /// The composited value: `[r, g, b, depth, 1]`.
     fn value(&self, footprints: &[Footprint<T>]) -> [T; 5] {
         let f = &footprints[self.footprint];
-        [f.radiance[0], f.radiance[1], f.radiance[2], f.depth, T::one()]
+        let ([hx, hy], [dx, dy]) = (f.depth_slope, self.offset);
+        let depth = f.depth + hx * dx + hy * dy;
+        [f.radiance[0], f.radiance[1], f.radiance[2], depth, T::one()]
     }
 }
 
@@ -201,23 +203,31 @@ impl<T: Real> Pixel<T> {
     fn pull_back(&self, footprints: &[Footprint<T>], cotangent: [T; 5], sums: &mut Sums<T>) {
         let mut behind = T::zero();
         for c in self.visited.iter().rev() {
-            let (f, sum) = (&footprints[c.footprint], &mut sums.cotangents[c.footprint]);
+            let f = &footprints[c.footprint];
             sums.seen[c.footprint] = true;
             let value = c.value(footprints);
             let q: T = (0..5).map(|k| cotangent[k] * value[k]).sum();
             let weight = c.alpha * c.transmittance;
+            let d_depth = cotangent[3] * weight;
+            let sum = &mut sums.cotangents[c.footprint];
             (0..3).for_each(|k| sum.radiance[k] += cotangent[k] * weight);
-            sum.depth += cotangent[3] * weight;
+            sum.depth += d_depth;
+            (0..2).for_each(|k| sum.depth_slope[k] += d_depth * c.offset[k]);
             let d_alpha = c.transmittance * q - behind / (T::one() - c.alpha);
             behind += q * weight;
-            if c.cut {
-                continue;
+            // The depth at a pixel is z + h · (pixel - centre).
+            let mut d_centre = f.depth_slope.map(|h| -h * d_depth);
+            if !c.cut {
+                // α = o exp(-½ (A dx² + 2 B dx dy + C dy²)), d = pixel - centre
+                sum.opacity += d_alpha * c.alpha / f.opacity;
+                let e = d_alpha * c.alpha;
+                let ([dx, dy], [a, b, cc]) = (c.offset, f.conic);
+                d_centre[0] += e * (a * dx + b * dy);
+                d_centre[1] += e * (b * dx + cc * dy);
+                sum.conic[0] -= T::of(0.5) * e * dx * dx;
+                sum.conic[1] -= e * dx * dy;
+                sum.conic[2] -= T::of(0.5) * e * dy * dy;
             }
-            // α = o exp(-½ (A dx² + 2 B dx dy + C dy²)), d = pixel - centre
-            sum.opacity += d_alpha * c.alpha / f.opacity;
-            let e = d_alpha * c.alpha;
-            let ([dx, dy], [a, b, cc]) = (c.offset, f.conic);
-            let d_centre = [e * (a * dx + b * dy), e * (b * dx + cc * dy)];
             let speed = f.path.speed(self.s);
             for k in 0..2 {
                 sum.centre[k] += d_centre[k];
@@ -225,9 +235,6 @@ impl<T: Real> Pixel<T> {
                 sum.path.curvature[k] += self.s * self.s * d_centre[k];
                 sums.readout += self.place * speed[k] * d_centre[k];
             }
-            sum.conic[0] -= T::of(0.5) * e * dx * dx;
-            sum.conic[1] -= e * dx * dy;
-            sum.conic[2] -= T::of(0.5) * e * dy * dy;
         }
     }
 }

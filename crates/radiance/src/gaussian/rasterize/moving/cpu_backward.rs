@@ -166,9 +166,9 @@ impl<const MAP: bool> WithSimd for Backward<'_, MAP> {
 /// Sums by motion of one splat over a tile, beside its [`TileSums`]; `e = α ∂L/∂α`.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct MotionTileSums {
-    /// `Σ e s dx, Σ e s dy`.
+    /// `Σ s (e d - w ∂L/∂depth c)`.
     pub(crate) velocity: [f32; 2],
-    /// `Σ e s² dx, Σ e s² dy`.
+    /// `Σ s² (e d - w ∂L/∂depth c)`.
     pub(crate) curvature: [f32; 2],
     /// `∂L/∂readout`.
     pub(crate) readout: f32,
@@ -251,20 +251,25 @@ impl<S: Simd> Step<'_, S> {
                 g[k] = S::as_simd_f32s(&cotangent[k]).0[v];
             }
             let mut q = g[4];
-            for k in 0..4 {
-                q = simd.mul_add_e_f32s(g[k], self.value.0[k], q);
+            for k in 0..3 {
+                q = simd.mul_add_e_f32s(g[k], self.value.radiance[k], q);
             }
             let mut sums = RowSums::new(simd);
             for (j, passed) in passed.iter_mut().enumerate().take(PACK) {
                 if self.moving_splat.touches(j, row) {
                     let s = simd.splat_f32s(self.times.first[j] + self.times.step * row as f32);
                     let exponent = self.moving_splat.exponent(simd, row, j);
+                    let depth = self.value.depth(simd, exponent.dx(simd, v), exponent.dy);
+                    let q = simd.mul_add_e_f32s(g[3], depth, q);
                     let light = self.step(simd, &exponent, v, q, passed);
-                    self.add::<MAP>(simd, &exponent, v, s, &light, &mut sums);
+                    self.add::<MAP>(simd, &exponent, v, (s, g[3]), &light, &mut sums);
                 }
             }
             self.add_row(simd, row, &sums);
             accumulate(simd, &mut self.sums.depth, sums.weight, g[3]);
+            for k in 0..2 {
+                accumulate(simd, &mut self.sums.depth_first[k], sums.weight_first[k], g[3]);
+            }
             if MAP {
                 accumulate(simd, &mut self.sums.weight, sums.weight, g[PLANES - 1]);
                 for k in 0..3 {
@@ -311,15 +316,22 @@ impl<S: Simd> Step<'_, S> {
         simd: S,
         exponent: &ExponentRow<S>,
         v: usize,
-        s: S::f32s,
+        (s, d_depth): (S::f32s, S::f32s),
         light: &Light<S>,
         row: &mut RowSums<S>,
     ) {
         let (dx, dy) = (exponent.dx(simd, v), exponent.dy);
         let (ex, ey) = (simd.mul_f32s(light.e, dx), simd.mul_f32s(light.e, dy));
-        let (sx, sy) = (simd.mul_f32s(s, ex), simd.mul_f32s(s, ey));
+        // A shift of the centre changes depth by -h, which is -Σ₂⁻¹ c.
+        let d_depth = simd.mul_f32s(light.weight, d_depth);
+        let [cx, cy] = self.moving_splat.depth_covariance.map(|c| simd.splat_f32s(c));
+        let fx = simd.negate_mul_add_e_f32s(cx, d_depth, ex);
+        let fy = simd.negate_mul_add_e_f32s(cy, d_depth, ey);
+        let (sx, sy) = (simd.mul_f32s(s, fx), simd.mul_f32s(s, fy));
         row.weight = simd.add_f32s(row.weight, light.weight);
-        row.first = [simd.add_f32s(row.first[0], ex), simd.add_f32s(row.first[1], ey)];
+        accumulate(simd, &mut row.weight_first[0], light.weight, dx);
+        accumulate(simd, &mut row.weight_first[1], light.weight, dy);
+        row.first = [simd.add_f32s(row.first[0], fx), simd.add_f32s(row.first[1], fy)];
         row.moved = [simd.add_f32s(row.moved[0], sx), simd.add_f32s(row.moved[1], sy)];
         accumulate(simd, &mut self.sums.second[0], ex, dx);
         accumulate(simd, &mut self.sums.second[1], ex, dy);
@@ -359,9 +371,11 @@ struct Light<S: Simd> {
 /// Sums over the moments of one row.
 struct RowSums<S: Simd> {
     weight: S::f32s,
-    /// `Σ e dx, Σ e dy`.
+    /// `Σ w dx, Σ w dy`.
+    weight_first: [S::f32s; 2],
+    /// `Σ e d - w ∂L/∂depth c`, of which `Σ₂⁻¹` makes `∂L/∂centre`.
     first: [S::f32s; 2],
-    /// `Σ e s dx, Σ e s dy`.
+    /// The same times `s`.
     moved: [S::f32s; 2],
 }
 
@@ -369,6 +383,6 @@ impl<S: Simd> RowSums<S> {
     #[inline(always)]
     fn new(simd: S) -> Self {
         let zero = simd.splat_f32s(0.0);
-        Self { weight: zero, first: [zero; 2], moved: [zero; 2] }
+        Self { weight: zero, weight_first: [zero; 2], first: [zero; 2], moved: [zero; 2] }
     }
 }

@@ -189,14 +189,14 @@ impl<S: Simd> Blend<'_, S> {
     fn row(&self, simd: S, row: usize, states: &mut [MomentRow], planes: &mut [Row; PLANES]) {
         for v in 0..TILE / S::F32_LANES {
             let zero = simd.splat_f32s(0.0);
-            let mut weights = zero;
+            let (mut weights, mut depths) = (zero, S::as_simd_f32s(&planes[4]).0[v]);
             for (j, state) in states.iter_mut().enumerate().take(PACK) {
                 if !self.moving_splat.touches(j, row) {
                     continue;
                 }
                 let exponent = self.moving_splat.exponent(simd, row, j);
-                let alpha = exponent.alpha(simd, exponent.dx(simd, v));
-                let alpha = simd.min_f32s(alpha, self.limits[j].alpha_max);
+                let dx = exponent.dx(simd, v);
+                let alpha = simd.min_f32s(exponent.alpha(simd, dx), self.limits[j].alpha_max);
                 let transmittance = &mut S::as_mut_simd_f32s(&mut state.transmittance).0[v];
                 let step = advance(simd, &self.limits[j], alpha, *transmittance);
                 let lit = simd.greater_than_f32s(*transmittance, zero);
@@ -207,11 +207,14 @@ impl<S: Simd> Blend<'_, S> {
                 }
                 *transmittance = step.next;
                 weights = simd.add_f32s(weights, step.weight);
+                let depth = self.value.depth(simd, dx, exponent.dy);
+                depths = simd.mul_add_e_f32s(step.weight, depth, depths);
             }
-            for k in 0..PLANES - 1 {
+            for k in 0..3 {
                 let plane = &mut S::as_mut_simd_f32s(&mut planes[1 + k]).0[v];
-                *plane = simd.mul_add_e_f32s(weights, self.value.0[k], *plane);
+                *plane = simd.mul_add_e_f32s(weights, self.value.radiance[k], *plane);
             }
+            S::as_mut_simd_f32s(&mut planes[4]).0[v] = depths;
         }
     }
 }

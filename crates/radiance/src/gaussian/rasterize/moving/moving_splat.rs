@@ -27,6 +27,8 @@ pub(super) struct MovingSplat {
     first: Column,
     end: Column,
     pub(super) path: Path<f32>,
+    /// `c = Σ₂ h` of the depth's slope `h` \[m px\].
+    pub(super) depth_covariance: [f32; 2],
     /// Quadratic coefficient of the offset by row, per axis.
     curve: [f32; 2],
     /// First and end row that are touched at any moment.
@@ -76,6 +78,7 @@ impl MovingSplat {
         alive: &Column,
     ) {
         (self.splat, self.path) = (*splat, *path);
+        self.depth_covariance = splat.covariance_product(splat.depth_slope);
         let (times, ellipse) = (stage.times, Ellipse::of(splat));
         let (mut first_row, mut end_row) = (TILE as f32, 0.0_f32);
         for axis in 0..2 {
@@ -120,8 +123,8 @@ impl MovingSplat {
         let left = left - margin_x;
         let low = alive.constant(ellipse.lowest).max(left).min(right);
         let high = alive.constant(-ellipse.lowest).max(left).min(right);
-        let bottom = low.scale(ellipse.slope) + half_height(&self.splat, ellipse, low);
-        let highest = high.scale(ellipse.slope) - half_height(&self.splat, ellipse, high);
+        let bottom = low.scale(ellipse.slope) + half_height(ellipse, low);
+        let highest = high.scale(ellipse.slope) - half_height(ellipse, high);
         // Row j has its centre at j + 1/2.
         let start = top - alive.constant(0.5);
         let (first, end) = (highest - margin_y - start, bottom + margin_y - start);
@@ -192,10 +195,10 @@ impl MovingSplat {
 
 /// Half the height of an extent at a column.
 #[inline(always)]
-fn half_height<S: Simd>(splat: &Splat, ellipse: &Ellipse, dx: Lanes<S>) -> Lanes<S> {
+fn half_height<S: Simd>(ellipse: &Ellipse, dx: Lanes<S>) -> Lanes<S> {
     let part = dx.scale(ellipse.inverse_width);
     let rest = (dx.constant(1.0) - part * part).clamp_min(0.0);
-    rest.sqrt().scale(splat.height_at_centre) + dx.constant(0.01)
+    rest.sqrt().scale(ellipse.height_at_centre) + dx.constant(0.01)
 }
 
 /// 1 for the moments that a pack has, 0 beyond.

@@ -1,0 +1,95 @@
+//! New flat Gaussians for squares of pixels.
+
+use super::density_control::{SourceFrame, ball, logit};
+use super::quadtree::{Quadtree, Square};
+use super::scale_bounds::ScaleBounds;
+use crate::config::GaussianParameters;
+use i2slam_geometry::{Mat3, Rotation, symmetric_eigen};
+use i2slam_radiance::gaussian::{ColourActivation, Gaussian, GaussianMap};
+
+/// Standard deviation along the edges of a square, in edges: neighbours overlap without gaps.
+pub(super) const SQUARE_DEVIATION: f64 = 0.6;
+/// Largest ratio of the deviations along the surface: what is seen at a grazing angle is not known
+/// better.
+const MAX_ELONGATION: f64 = 4.0;
+/// Thickness over the mean of the deviations along the surface.
+const THICKNESS: f64 = 0.1;
+
+/// Adds a flat Gaussian for every square of the marked pixels, a ball for single pixels.
+pub(super) fn push_flat_gaussians(
+    map: &mut GaussianMap,
+    bounds: &mut ScaleBounds,
+    parameters: &GaussianParameters,
+    source: &SourceFrame<'_>,
+    squares: &[Square],
+) {
+    let focal = 0.5 * (source.camera.fx + source.camera.fy) as f32;
+    for square in squares {
+        let gaussian = match square.size {
+            1 => {
+                let pixel = square.row * source.camera.width + square.column;
+                ball(map.activation, parameters, source, pixel)
+            }
+            _ => disc(map.activation, parameters, source, square),
+        };
+        if let Some(gaussian) = gaussian {
+            let pixel = 1.0 / (square.inverse_depth[0] * focal);
+            bounds.push(pixel, SQUARE_DEVIATION as f32 * square.size as f32 * pixel);
+            map.push(gaussian);
+        }
+    }
+}
+
+/// A flat Gaussian on the plane of a square; `None` where no radiance is known.
+fn disc(
+    activation: ColourActivation,
+    parameters: &GaussianParameters,
+    source: &SourceFrame<'_>,
+    square: &Square,
+) -> Option<Gaussian<f32>> {
+    let colour = mean_colour(activation, source, square)?;
+    let (log_scale, rotation) = shape(source, square);
+    Some(Gaussian {
+        mean: (source.world_from_depth * square.centre(source.camera)).cast::<f32>().to_array(),
+        log_scale,
+        rotation,
+        opacity_logit: logit(parameters.initial_opacity),
+        colour,
+    })
+}
+
+/// Log standard deviations, largest first, and rotation: with `X_u` and `X_v` the derivatives of the
+/// surface by pixel and `e` the deviation in pixels, the covariance is `e² (X_u X_uᵀ + X_v X_vᵀ)`.
+fn shape(source: &SourceFrame<'_>, square: &Square) -> ([f32; 3], [f32; 4]) {
+    let deviation = SQUARE_DEVIATION * square.size as f64;
+    let [by_u, by_v] = square.tangents(source.camera).map(|tangent| tangent * deviation);
+    let (variances, axes) = symmetric_eigen(&(Mat3::outer(by_u, by_u) + Mat3::outer(by_v, by_v)));
+    let second = variances.y.max(variances.x / (MAX_ELONGATION * MAX_ELONGATION));
+    let thickness = (variances.x * second).sqrt() * THICKNESS * THICKNESS;
+    let Rotation { w, v } = source.world_from_depth.rotation * Rotation::from_matrix(&axes);
+    let log_scale = [variances.x, second, thickness].map(|variance| (0.5 * variance.ln()) as f32);
+    (log_scale, [w, v.x, v.y, v.z].map(|q| q as f32))
+}
+
+/// Mean stored colour of the pixels of a square at which radiance is known.
+fn mean_colour(
+    activation: ColourActivation,
+    source: &SourceFrame<'_>,
+    square: &Square,
+) -> Option<[f32; 3]> {
+    let pixel = |(column, row)| row * source.camera.width + column;
+    let known = square.pixels().filter_map(|at| source.surface_point(pixel(at)));
+    let (mut sum, mut count) = ([0.0; 3], 0.0_f32);
+    for (_, radiance) in known {
+        let colour = activation.colour(radiance);
+        (0..3).for_each(|c| sum[c] += colour[c]);
+        count += 1.0;
+    }
+    (count > 0.0).then(|| sum.map(|v| v / count))
+}
+
+/// The squares of a frame's picture and depth.
+pub(super) fn quadtree<'a>(source: &'a SourceFrame<'_>) -> Quadtree<'a> {
+    let focal = 0.5 * (source.camera.fx + source.camera.fy) as f32;
+    Quadtree::new(&source.observation.colour, &source.depth, focal)
+}

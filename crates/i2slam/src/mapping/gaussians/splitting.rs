@@ -1,0 +1,288 @@
+//! Splitting of Gaussians that are larger than the detail a picture shows where the map is wrong.
+//!
+//! A pixel is wrong where its prediction is off by more than noise, and by more than a shift by half a
+//! pixel explains: poses err by that much. There the [squares](super::quadtree) of the picture tell how
+//! small Gaussians should be; a blurred picture has large squares and asks for little.
+
+use super::density_control::{SourceFrame, radiance_of_point};
+use super::flat_gaussians::SQUARE_DEVIATION;
+use super::quadtree::Quadtree;
+use super::scale_bounds::ScaleBounds;
+use i2slam_geometry::{Camera, Pose, Rotation, Vec3};
+use i2slam_radiance::Render;
+use i2slam_radiance::gaussian::GaussianMap;
+
+/// Prediction error above which a pixel is wrong, in deviations up to which a square counts as plain.
+const MAX_ERROR: f32 = 2.0;
+/// Shift of the picture that explains an error [px].
+const MAX_SHIFT: f32 = 0.5;
+/// Distance between a Gaussian and the rendered surface up to which it counts as seen, as a share of
+/// its depth.
+const MAX_DEPTH_DIFFERENCE: f32 = 0.02;
+/// Deviation over that of a Gaussian of the size asked for, from which on one is split.
+const MAX_SIZE_RATIO: f32 = 2.0;
+/// Deviation of the halves along the axis that is split, and their distance from the middle, in
+/// deviations of the whole.
+const HALF: f32 = 0.6;
+/// Most times that what came from one Gaussian is split by one frame.
+const MAX_GENERATIONS: usize = 4;
+/// Levels of [`Demand`].
+const LEVELS: usize = 4;
+
+/// Edge of the squares that a picture asks for, where it is not predicted.
+struct Demand {
+    width: usize,
+    /// For blocks of 1, 2, 4 and 8 pixels: the smallest edge asked for within [px].
+    levels: [Vec<u8>; LEVELS],
+}
+
+/// Asks for nothing.
+const NOTHING: u8 = u8::MAX;
+
+impl Demand {
+    fn new(source: &SourceFrame<'_>, render: &Render, tree: &Quadtree<'_>) -> Self {
+        let (width, height) = (source.camera.width, source.camera.height);
+        let mut finest = tree.sizes();
+        let is_wrong = wrong_pixels(source, render, MAX_ERROR * tree.max_detail());
+        let right = finest.iter_mut().zip(is_wrong).filter(|(_, is_wrong)| !is_wrong);
+        right.for_each(|(size, _)| *size = NOTHING);
+        let mut size = [width, height];
+        let mut levels = [finest, Vec::new(), Vec::new(), Vec::new()];
+        for level in 1..LEVELS {
+            levels[level] = halved(&levels[level - 1], size);
+            size = size.map(|n| n.div_ceil(2));
+        }
+        Self { width, levels }
+    }
+
+    /// Smallest edge asked for within a block around a pixel that is about so wide [px].
+    fn at(&self, [column, row]: [usize; 2], width: f32) -> Option<f32> {
+        let level = (width.log2().round().max(0.0) as usize).min(LEVELS - 1);
+        let stride = (0..level).fold(self.width, |width, _| width.div_ceil(2));
+        let size = self.levels[level][(row >> level) * stride + (column >> level)];
+        (size != NOTHING).then_some(f32::from(size))
+    }
+}
+
+/// Smallest values of blocks of two by two.
+fn halved(fine: &[u8], [width, height]: [usize; 2]) -> Vec<u8> {
+    let columns = width.div_ceil(2);
+    let mut coarse = vec![NOTHING; columns * height.div_ceil(2)];
+    for (at, &size) in fine.iter().enumerate() {
+        let cell = &mut coarse[(at / width / 2) * columns + at % width / 2];
+        *cell = size.min(*cell);
+    }
+    coarse
+}
+
+/// Pixels whose prediction is off by more than `limit` and what a small shift explains.
+fn wrong_pixels(source: &SourceFrame<'_>, render: &Render, limit: f32) -> Vec<bool> {
+    let colour = &source.observation.colour;
+    let (width, height) = (colour.width, colour.height);
+    let gains = source.tone.as_ref().map(|tone| tone.tone.gains());
+    let is_wrong = |pixel: usize, c: usize| {
+        let radiance = render.radiance.plane(c)[pixel];
+        let predicted = match (&source.tone, &gains) {
+            (Some(tone), Some(gains)) => tone.curve.evaluate(c, gains[c] * radiance),
+            _ => radiance,
+        };
+        let (x, y, plane) = (pixel % width, pixel / width, colour.plane(c));
+        let along =
+            plane[y * width + (x + 1).min(width - 1)] - plane[y * width + x.saturating_sub(1)];
+        let down =
+            plane[(y + 1).min(height - 1) * width + x] - plane[y.saturating_sub(1) * width + x];
+        let slope = 0.5 * along.hypot(down);
+        (predicted - plane[pixel]).abs() > limit + MAX_SHIFT * slope
+    };
+    (0..width * height).map(|pixel| (0..3).any(|c| is_wrong(pixel, c))).collect()
+}
+
+/// Splits the Gaussians on the rendered surface that are larger than the picture asks for. Returns the
+/// index of the one that each appended Gaussian came from.
+pub(super) fn split_gaussians(
+    map: &mut GaussianMap,
+    bounds: &mut ScaleBounds,
+    source: &SourceFrame<'_>,
+    render: &Render,
+    tree: &Quadtree<'_>,
+) -> Vec<usize> {
+    let splitter = Splitter {
+        demand: Demand::new(source, render, tree),
+        source,
+        render,
+        camera_from_world: source.world_from_depth.inverse(),
+    };
+    let mut origins = Vec::new();
+    for origin in 0..map.len() {
+        let mut waiting = vec![(origin, 0)];
+        while let Some((index, generation)) = waiting.pop() {
+            if let Some(axis) = splitter.axis_to_split(map, index) {
+                splitter.split(map, bounds, index, axis);
+                origins.push(origin);
+                if generation + 1 < MAX_GENERATIONS {
+                    waiting.push((index, generation + 1));
+                    waiting.push((map.len() - 1, generation + 1));
+                }
+            }
+        }
+    }
+    origins
+}
+
+struct Splitter<'a> {
+    demand: Demand,
+    source: &'a SourceFrame<'a>,
+    render: &'a Render,
+    camera_from_world: Pose<f64>,
+}
+
+impl Splitter<'_> {
+    /// The longest axis of a Gaussian that is seen and too long.
+    fn axis_to_split(&self, map: &GaussianMap, index: usize) -> Option<usize> {
+        let camera = self.source.camera;
+        let point = self.camera_from_world * Vec3::from_array(map.means[index]).cast::<f64>();
+        let z = point.z as f32;
+        let at = pixel_of(camera, point)?;
+        let pixel = at[1] * camera.width + at[0];
+        let surface = self.render.depth.data[pixel] / self.render.opacity.data[pixel];
+        let is_seen = (z - surface).abs() <= MAX_DEPTH_DIFFERENCE * z;
+        let scales = map.log_scales[index];
+        let axis = (0..3).max_by(|&a, &b| scales[a].total_cmp(&scales[b]))?;
+        let deviation = scales[axis].exp() * camera.fx as f32 / z;
+        let asked = self.demand.at(at, 2.0 * deviation).filter(|_| is_seen)?;
+        let wanted = SQUARE_DEVIATION as f32 * asked;
+        (deviation >= MAX_SIZE_RATIO * wanted).then_some(axis)
+    }
+
+    /// Replaces a Gaussian by two along an axis, with the colours of the picture.
+    fn split(&self, map: &mut GaussianMap, bounds: &mut ScaleBounds, index: usize, axis: usize) {
+        let Some(mut other) = map.get(index) else { return };
+        let [w, x, y, z] = other.rotation;
+        let axes = Rotation::from_wxyz(w, x, y, z).unwrap_or_else(Rotation::identity).matrix();
+        let distance = HALF * other.log_scale[axis].exp();
+        let offset = [0, 1, 2].map(|row| distance * axes[(row, axis)]);
+        other.log_scale[axis] += HALF.ln();
+        let colour_from_world = self.source.colour_from_depth * self.camera_from_world;
+        let [first, second] = [-1.0, 1.0].map(|side| {
+            let mean: [f32; 3] = std::array::from_fn(|k| other.mean[k] + side * offset[k]);
+            let point = colour_from_world * Vec3::from_array(mean).cast::<f64>();
+            let radiance = radiance_of_point(self.source, point);
+            let colour = radiance.map_or(other.colour, |radiance| map.activation.colour(radiance));
+            (mean, colour)
+        });
+        map.log_scales[index] = other.log_scale;
+        (map.means[index], map.colours[index]) = first;
+        (other.mean, other.colour) = second;
+        map.push(other);
+        bounds.split(index, HALF);
+    }
+}
+
+/// Column and row of the pixel that shows a point, if it lies before the camera and in the picture.
+fn pixel_of(camera: &Camera<f64>, point: Vec3<f64>) -> Option<[usize; 2]> {
+    if point.z <= 0.0 {
+        return None;
+    }
+    let (u, v) = camera.project(point);
+    let (column, row) = (u as usize, v as usize);
+    let is_inside = camera.contains(u, v, 0.0) && column < camera.width && row < camera.height;
+    is_inside.then_some([column, row])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::objective::Observation;
+    use i2slam_geometry::{Image, Tangent};
+    use i2slam_radiance::RadianceMap;
+    use i2slam_radiance::gaussian::{
+        ColourActivation, Gaussian, RasterSettings, Rasterizer, Shape, View,
+    };
+    use std::sync::Arc;
+
+    const SIDE: usize = 32;
+    const DEPTH: f32 = 2.0;
+
+    fn camera() -> Camera<f64> {
+        Camera { width: SIDE, height: SIDE, fx: 32.0, fy: 32.0, cx: 16.0, cy: 16.0 }
+    }
+
+    /// A grey wall of discs of eight pixels.
+    fn wall() -> (GaussianMap, ScaleBounds) {
+        let mut map = GaussianMap::new(Shape::Anisotropic, ColourActivation::Linear);
+        let mut bounds = ScaleBounds::default();
+        let pixel = DEPTH / 32.0;
+        for place in 0..16 {
+            let at = [place % 4, place / 4].map(|k| (8.0 * k as f32 + 4.0 - 16.0) * pixel);
+            let deviation = SQUARE_DEVIATION as f32 * 8.0 * pixel;
+            map.push(Gaussian {
+                mean: [at[0], at[1], DEPTH],
+                log_scale: [deviation, deviation, 0.1 * deviation].map(f32::ln),
+                rotation: [1.0, 0.0, 0.0, 0.0],
+                opacity_logit: 4.0,
+                colour: [0.5; 3],
+            });
+            bounds.push(pixel, deviation);
+        }
+        (map, bounds)
+    }
+
+    /// Splits by a picture of the wall; returns the map and the origins.
+    fn split_by(picture: impl Fn(usize, usize) -> f32) -> (GaussianMap, Vec<usize>) {
+        let (mut map, mut bounds) = wall();
+        let camera = camera();
+        let view = View { camera: camera.cast(), world_from_camera: Pose::identity() };
+        let mut render = Render::new(SIDE, SIDE);
+        map.render(&mut Rasterizer::new(RasterSettings::default()), &view, &mut render);
+        let mut colour = Image::new(SIDE, SIDE, 3);
+        for pixel in 0..SIDE * SIDE {
+            (0..3).for_each(|c| {
+                colour.plane_mut(c)[pixel] = picture(pixel % SIDE, pixel / SIDE);
+            });
+        }
+        let depth = Image { data: vec![DEPTH; SIDE * SIDE], ..Image::new(SIDE, SIDE, 1) };
+        let observation = Observation::new(colour, depth.clone());
+        let source = SourceFrame {
+            camera: &camera,
+            world_from_depth: Pose::identity(),
+            colour_from_depth: Pose::identity(),
+            velocity: Tangent::zero(),
+            readout: 0.0,
+            observation: &observation,
+            depth: Arc::new(depth),
+            tone: None,
+        };
+        let tree = super::super::flat_gaussians::quadtree(&source);
+        let origins = split_gaussians(&mut map, &mut bounds, &source, &render, &tree);
+        (map, origins)
+    }
+
+    #[test]
+    fn a_wall_that_is_predicted_stays() {
+        let (map, origins) = split_by(|_, _| 0.5);
+        assert_eq!((map.len(), origins.len()), (16, 0));
+    }
+
+    #[test]
+    fn detail_that_is_not_predicted_splits_what_covers_it() {
+        // A line one pixel wide through the second column of discs.
+        let (map, origins) = split_by(|x, _| if x == 10 { 0.1 } else { 0.5 });
+        assert_eq!(map.len(), 16 + origins.len());
+        assert!(origins.len() >= 8, "{}", origins.len());
+        assert!(origins.iter().all(|origin| origin % 4 == 1), "{origins:?}");
+        let dark = map.means.iter().zip(&map.colours).filter(|(_, colour)| colour[0] < 0.3);
+        let pixel = DEPTH / 32.0;
+        let columns: Vec<f32> = dark.map(|(mean, _)| mean[0] / pixel + 16.0).collect();
+        assert!(
+            !columns.is_empty() && columns.iter().all(|c| (c - 10.5).abs() < 1.5),
+            "{columns:?}"
+        );
+    }
+
+    #[test]
+    fn an_edge_off_by_a_fraction_of_a_pixel_splits_nothing() {
+        // The wall is grey: a ramp that is off by less than half its slope is a shift.
+        let (map, _) = split_by(|x, _| 0.5 + 0.04 * (x as f32 - 15.5).clamp(-1.0, 1.0));
+        assert_eq!(map.len(), 16);
+    }
+}
