@@ -22,7 +22,7 @@ use crate::tracking::{TrackingContext, TrackingResult, sampling};
 use anchors::Anchors;
 use density_control::{SourceFrame, prune, push_balls, unexplained_pixels};
 use flat_gaussians::{push_flat_gaussians, quadtree};
-use i2slam_formation::{CameraResponse, CentreVelocity, Formation, TrajectoryScale};
+use i2slam_formation::{CameraResponse, CentreVelocity, Formation, ResponseCurve, TrajectoryScale};
 use i2slam_geometry::{Camera, Image, Pose};
 use i2slam_radiance::Render;
 use i2slam_radiance::gaussian::{ColourActivation, GaussianMap, RasterSettings, Shape};
@@ -104,6 +104,22 @@ impl GaussianMapper {
         self.scale_bounds.retain(keep);
     }
 
+    /// The map at the pose of a keyframe's depth picture.
+    fn render_at_depth(&mut self, context: &MappingContext<'_>, keyframe: &Keyframe) -> Render {
+        let pose = context.frames[keyframe.frame].depth_pose();
+        self.current.objective.render(&self.current.map, pose).clone()
+    }
+
+    /// Splits flat Gaussians that are larger than a keyframe asks for.
+    fn split(&mut self, context: &MappingContext<'_>, keyframe: &Keyframe) {
+        let render = self.render_at_depth(context, keyframe);
+        let (observation, curve) = (keyframe.observation.get(), response_curve(context, keyframe));
+        let source = source_frame(context, keyframe, &observation, curve.as_ref(), Some(&render));
+        let (map, bounds) = (&mut self.current.map, &mut self.scale_bounds);
+        let origins = split_gaussians(map, bounds, &source, &render, &quadtree(&source));
+        self.anchors.inherit(&origins);
+    }
+
     /// Merges Gaussians of a map beyond its capacity, with room for the next frames.
     fn enforce_capacity(&mut self, context: &mut MappingContext<'_>) {
         let capacity = context.config.map.capacity;
@@ -122,6 +138,34 @@ impl GaussianMapper {
             );
             context.warnings.push(warning.into());
         }
+    }
+}
+
+/// Response curve of a keyframe; none with `tone` off.
+fn response_curve(context: &MappingContext<'_>, keyframe: &Keyframe) -> Option<ResponseCurve<f32>> {
+    let response = context.frames[keyframe.frame].response;
+    context.config.formation.tone.then(|| context.responses[response].curve())
+}
+
+/// A keyframe as a source of Gaussians.
+fn source_frame<'a>(
+    context: &MappingContext<'a>,
+    keyframe: &Keyframe,
+    observation: &'a Observation,
+    curve: Option<&'a ResponseCurve<f32>>,
+    render: Option<&Render>,
+) -> SourceFrame<'a> {
+    let estimate = &context.frames[keyframe.frame];
+    let mapping = &context.config.mapping;
+    SourceFrame {
+        camera: context.camera,
+        world_from_depth: estimate.depth_pose(),
+        colour_from_depth: estimate.middle().inverse() * estimate.depth_pose(),
+        velocity: CentreVelocity::from(estimate.shutter).velocity,
+        readout: estimate.readout,
+        observation,
+        depth: placement_depth(observation, mapping, context.valid_mask, render),
+        tone: curve.map(|curve| Formation { tone: estimate.tone, curve }),
     }
 }
 
@@ -158,28 +202,10 @@ impl Mapper for GaussianMapper {
         current: &Keyframe,
     ) -> Result<Growth, SettingsError> {
         let growth = if self.is_empty() { Growth::Started } else { Growth::Extended };
-        let config = context.config;
-        let estimate = &context.frames[current.frame];
-        let curve = config.formation.tone.then(|| context.responses[estimate.response].curve());
-        let render = (!self.current.map.is_empty()).then(|| {
-            self.current.objective.render(&self.current.map, estimate.depth_pose()).clone()
-        });
-        let (parameters, observation) = (&config.parameters.gaussians, &*current.observation.get());
-        let source = SourceFrame {
-            camera: context.camera,
-            world_from_depth: estimate.depth_pose(),
-            colour_from_depth: estimate.middle().inverse() * estimate.depth_pose(),
-            velocity: CentreVelocity::from(estimate.shutter).velocity,
-            readout: estimate.readout,
-            observation,
-            depth: placement_depth(
-                observation,
-                &config.mapping,
-                context.valid_mask,
-                render.as_ref(),
-            ),
-            tone: curve.as_ref().map(|curve| Formation { tone: estimate.tone, curve }),
-        };
+        let parameters = &context.config.parameters.gaussians;
+        let render = (!self.is_empty()).then(|| self.render_at_depth(context, current));
+        let (observation, curve) = (current.observation.get(), response_curve(context, current));
+        let source = source_frame(context, current, &observation, curve.as_ref(), render.as_ref());
         let wanted = match &render {
             Some(render) => unexplained_pixels(&source, render),
             None => {
@@ -253,6 +279,10 @@ impl Mapper for GaussianMapper {
         (steps, total): (Range<usize>, usize),
         on_step: OnStep<'_>,
     ) -> bool {
+        if steps.start == 0 && self.current.map.shape == Shape::Anisotropic {
+            context.keyframes.iter().for_each(|keyframe| self.split(context, keyframe));
+            self.enforce_capacity(context);
+        }
         let (mut order, mut continues): (Vec<usize>, bool) = (Vec::new(), true);
         for step in steps {
             if order.is_empty() {
