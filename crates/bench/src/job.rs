@@ -1,6 +1,8 @@
 //! One job: reconstruction and evaluation by the program `i2slam`, and the record of both.
 
 use crate::console::Failure;
+use crate::metrics::{self, Metrics, PINHOLES};
+use crate::pinholes;
 use crate::plan::{Job, Plan};
 use crate::process::{Call, Stopped};
 use crate::sequences::{FrameList, Source};
@@ -182,10 +184,12 @@ impl Bench<'_> {
         if !record.reconstructed {
             remove_file(&folder.join(RECORD))?;
             remove_file(&folder.join("eval.json"))?;
+            remove_file(&folder.join(metrics::OWN))?;
             self.reconstruct(job, folder, &record.work, started)?;
             record.reconstructed = true;
         }
         self.evaluate(job, folder, &record.work, started)?;
+        measure_pinholes(folder)?;
         if !self.keep_renders {
             remove_renders(&result).map_err(|e| Stopped::Failed(e.to_string()))?;
         }
@@ -279,6 +283,19 @@ impl Bench<'_> {
         let (program, threads, timeout) = (&self.program, self.threads, self.timeout);
         Call { program, arguments, threads, log, output, timeout }
     }
+}
+
+/// Measures the pinholes of a map of Gaussians, once, where the sequence has depth.
+fn measure_pinholes(folder: &Path) -> Result<(), Stopped> {
+    let file = folder.join(metrics::OWN);
+    if file.is_file() {
+        return Ok(());
+    }
+    let share = pinholes::of_result(&folder.join("result"));
+    let share = share.map_err(|e| Stopped::Failed(format!("pinholes not measured: {e}")))?;
+    let metrics: Metrics = share.map(|share| (PINHOLES.key.to_owned(), share)).into_iter().collect();
+    let text = serde_json::to_string(&metrics).map_err(|e| Stopped::Failed(e.to_string()))?;
+    Ok(write_text(&file, &(text + "\n"))?)
 }
 
 fn remove_file(file: &Path) -> Result<(), Stopped> {

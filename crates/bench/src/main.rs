@@ -6,6 +6,7 @@ mod console;
 mod interrupt;
 mod job;
 mod metrics;
+mod pinholes;
 mod plan;
 mod process;
 mod queue;

@@ -35,6 +35,8 @@ pub(crate) const PSNR: Metric = metric("psnr_sharp_db", "PSNR", ("dB", 1.0), 2, 
 pub(crate) const SSIM: Metric = metric("ssim_sharp", "SSIM", ("", 1.0), 3, false);
 pub(crate) const LPIPS: Metric = metric("lpips_sharp", "LPIPS", ("", 1.0), 3, true);
 pub(crate) const DEPTH: Metric = metric("depth_l1_m", "Depth L1", ("cm", 100.0), 2, true);
+pub(crate) const GAUSSIANS: Metric = metric("gaussians", "Gaussians", ("k", 1e-3), 0, true);
+pub(crate) const PINHOLES: Metric = metric("pinholes", "Pinholes", ("%", 100.0), 2, true);
 pub(crate) const MAPPING: Metric =
     metric("mapping_seconds_per_frame", "Mapping/frame", ("s", 1.0), 3, true);
 pub(crate) const TRACKING: Metric =
@@ -79,15 +81,20 @@ pub(crate) fn read(file: &Path) -> Option<Metrics> {
     Some(object.into_iter().filter_map(number).collect())
 }
 
-/// The metrics of a finished job: those of `metrics.json`, completed by `eval.json`. Where a protocol
-/// chose the frames, metrics of pictures come from `eval.json` alone.
+/// File with the metrics that the benchmark measures itself.
+pub(crate) const OWN: &str = "own.json";
+
+/// The metrics of a finished job: those of `metrics.json`, completed by `eval.json` and [`OWN`]. Where a
+/// protocol chose the frames, metrics of pictures come from `eval.json` alone.
 pub(crate) fn of_job(folder: &Path, with_protocol: bool) -> Option<Metrics> {
     let mut metrics = read(&folder.join("result/metrics.json"))?;
     if with_protocol {
         metrics.retain(|key, _| !PICTURE_METRICS.contains(&key.as_str()));
     }
-    for (key, value) in read(&folder.join("eval.json")).unwrap_or_default() {
-        metrics.entry(key).or_insert(value);
+    for file in ["eval.json", OWN] {
+        for (key, value) in read(&folder.join(file)).unwrap_or_default() {
+            metrics.entry(key).or_insert(value);
+        }
     }
     Some(metrics)
 }

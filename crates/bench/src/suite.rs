@@ -68,6 +68,7 @@ pub(crate) enum TableKind {
     Ablation,
     Runtime,
     VirtualCameras,
+    Map,
 }
 
 /// A `[[sequence]]`: one sequence, or all that a pattern finds. Exactly one of `path`, `find` and

@@ -10,6 +10,7 @@ pub mod exposure;
 pub mod frame_list;
 pub mod hdr;
 pub mod image;
+pub mod pinholes;
 pub mod sharpness;
 pub mod statistics;
 pub mod trajectory;

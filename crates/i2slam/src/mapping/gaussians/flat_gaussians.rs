@@ -15,7 +15,7 @@ const MAX_ELONGATION: f64 = 4.0;
 /// Thickness over the mean of the deviations along the surface.
 const THICKNESS: f64 = 0.1;
 
-/// Adds a flat Gaussian for every square of the marked pixels, a ball for single pixels.
+/// Adds a flat Gaussian for every square of the marked pixels, a ball for pixels without a plane.
 pub(super) fn push_flat_gaussians(
     map: &mut GaussianMap,
     bounds: &mut ScaleBounds,
@@ -25,16 +25,16 @@ pub(super) fn push_flat_gaussians(
 ) {
     let focal = 0.5 * (source.camera.fx + source.camera.fy) as f32;
     for square in squares {
-        let gaussian = match square.size {
-            1 => {
+        let gaussian = match square.has_plane() {
+            false => {
                 let pixel = square.row * source.camera.width + square.column;
                 ball(map.activation, parameters, source, pixel)
             }
-            _ => disc(map.activation, parameters, source, square),
+            true => disc(map.activation, parameters, source, square),
         };
         if let Some(gaussian) = gaussian {
             let pixel = 1.0 / (square.inverse_depth[0] * focal);
-            bounds.push(pixel, SQUARE_DEVIATION as f32 * square.size as f32 * pixel);
+            bounds.push(pixel, gaussian.log_scale);
             map.push(gaussian);
         }
     }

@@ -47,6 +47,11 @@ impl Square {
         (row..row + size).flat_map(move |y| (column..column + size).map(move |x| (x, y)))
     }
 
+    /// Whether it is known which way the surface faces.
+    pub(super) fn has_plane(&self) -> bool {
+        self.size > 1 || self.inverse_depth[1..] != [0.0; 2]
+    }
+
     /// Its centre on the surface, in the camera [m].
     pub(super) fn centre(&self, camera: &Camera<f64>) -> Vec3<f64> {
         self.ray(camera) * f64::from(1.0 / self.inverse_depth[0])
@@ -103,7 +108,7 @@ impl<'a> Quadtree<'a> {
         let mut squares = Vec::new();
         for row in (0..self.colour.height).step_by(MAX_SIZE) {
             for column in (0..self.colour.width).step_by(MAX_SIZE) {
-                self.divide([column, row], MAX_SIZE, wanted, &mut squares);
+                self.divide([column, row], (MAX_SIZE, None), wanted, &mut squares);
             }
         }
         squares
@@ -126,10 +131,11 @@ impl<'a> Quadtree<'a> {
         self.max_detail
     }
 
+    /// Divides a square; `plane` is the slope of the plane that a larger one around it lies on.
     fn divide(
         &self,
         [column, row]: [usize; 2],
-        size: usize,
+        (size, plane): (usize, Option<[f32; 2]>),
         wanted: &[bool],
         squares: &mut Vec<Square>,
     ) {
@@ -137,44 +143,54 @@ impl<'a> Quadtree<'a> {
         if column >= width || row >= height {
             return;
         }
+        let square = |w: f32, slope: Option<[f32; 2]>| {
+            let [by_u, by_v] = slope.unwrap_or_default();
+            Square { column, row, size, inverse_depth: [w, by_u, by_v] }
+        };
         if size == 1 {
             let pixel = row * width + column;
             let w = self.inverse_depth[pixel];
             if wanted[pixel] && w > 0.0 {
-                squares.push(Square { column, row, size, inverse_depth: [w, 0.0, 0.0] });
+                squares.push(square(w, plane));
             }
             return;
         }
-        let inside = column + size <= width && row + size <= height;
-        if inside {
+        let mut slope = plane;
+        if column + size <= width && row + size <= height {
             let pixels = |f: &dyn Fn(usize) -> bool| {
                 (row..row + size).all(|y| (column..column + size).all(|x| f(y * width + x)))
             };
             if pixels(&|p| !wanted[p]) {
                 return;
             }
-            if pixels(&|p| wanted[p] && self.inverse_depth[p] > 0.0)
-                && let Some(inverse_depth) = self.plane([column, row], size)
+            if pixels(&|p| self.inverse_depth[p] > 0.0)
+                && let Some((w, own)) = self.plane([column, row], size)
             {
-                squares.push(Square { column, row, size, inverse_depth });
-                return;
+                // Of the larger square: less noise.
+                slope = plane.or(Some(own));
+                if pixels(&|p| wanted[p]) && self.is_plain([column, row], size) {
+                    squares.push(square(w, slope));
+                    return;
+                }
             }
         }
         let half = size / 2;
         for (x, y) in [(0, 0), (half, 0), (0, half), (half, half)] {
-            self.divide([column + x, row + y], half, wanted, squares);
+            self.divide([column + x, row + y], (half, slope), wanted, squares);
         }
     }
 
-    /// The plane of a square of plain colour, if there is one.
-    fn plane(&self, at: [usize; 2], size: usize) -> Option<[f32; 3]> {
+    /// Inverse depth and its slope over a square that is a plane.
+    fn plane(&self, at: [usize; 2], size: usize) -> Option<(f32, [f32; 2])> {
         let Affine { value, slope, deviation } = self.fit(&self.inverse_depth, at, size);
         let relief = MAX_RELIEF * size as f32 * value / self.focal;
-        if deviation > relief.hypot(DEPTH_NOISE_FACTOR * self.depth_noise) {
-            return None;
-        }
-        let plain = |c| self.fit(self.colour.plane(c), at, size).deviation <= self.max_detail;
-        (0..3).all(plain).then_some([value, slope[0], slope[1]])
+        let is_plane = deviation <= relief.hypot(DEPTH_NOISE_FACTOR * self.depth_noise);
+        is_plane.then_some((value, slope))
+    }
+
+    /// Whether colour is affine over a square.
+    fn is_plain(&self, at: [usize; 2], size: usize) -> bool {
+        (0..3).all(|c| self.fit(self.colour.plane(c), at, size).deviation <= self.max_detail)
     }
 
     /// Least-squares affine function over a square of two pixels or more.

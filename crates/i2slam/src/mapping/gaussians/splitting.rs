@@ -8,7 +8,7 @@ use super::density_control::{SourceFrame, radiance_of_point};
 use super::flat_gaussians::SQUARE_DEVIATION;
 use super::quadtree::Quadtree;
 use super::scale_bounds::ScaleBounds;
-use i2slam_geometry::{Camera, Pose, Rotation, Vec3};
+use i2slam_geometry::{Camera, Mat3, Pose, Rotation, Vec3};
 use i2slam_radiance::Render;
 use i2slam_radiance::gaussian::GaussianMap;
 
@@ -137,7 +137,7 @@ struct Splitter<'a> {
 }
 
 impl Splitter<'_> {
-    /// The longest axis of a Gaussian that is seen and too long.
+    /// The axis of a Gaussian that is longest in the picture, if it is seen and too long.
     fn axis_to_split(&self, map: &GaussianMap, index: usize) -> Option<usize> {
         let camera = self.source.camera;
         let point = self.camera_from_world * Vec3::from_array(map.means[index]).cast::<f64>();
@@ -146,21 +146,32 @@ impl Splitter<'_> {
         let pixel = at[1] * camera.width + at[0];
         let surface = self.render.depth.data[pixel] / self.render.opacity.data[pixel];
         let is_seen = (z - surface).abs() <= MAX_DEPTH_DIFFERENCE * z;
-        let scales = map.log_scales[index];
-        let axis = (0..3).max_by(|&a, &b| scales[a].total_cmp(&scales[b]))?;
-        let deviation = scales[axis].exp() * camera.fx as f32 / z;
+        let lengths = self.lengths(map, index, point);
+        let axis = (0..3).max_by(|&a, &b| lengths[a].total_cmp(&lengths[b]))?;
+        let deviation = lengths[axis];
         let asked = self.demand.at(at, 2.0 * deviation).filter(|_| is_seen)?;
         let wanted = SQUARE_DEVIATION as f32 * asked;
         (deviation >= MAX_SIZE_RATIO * wanted).then_some(axis)
     }
 
+    /// Standard deviations along the axes of a Gaussian at a point of the camera, in the picture [px].
+    fn lengths(&self, map: &GaussianMap, index: usize, point: Vec3<f64>) -> [f32; 3] {
+        let camera = self.source.camera;
+        let axes = self.camera_from_world.rotation.matrix() * axes(map.rotations[index]);
+        let ray = point * (1.0 / point.z);
+        [0, 1, 2].map(|axis| {
+            let [x, y, z] = [0, 1, 2].map(|row| axes[(row, axis)]);
+            let pixels = (camera.fx * (x - ray.x * z)).hypot(camera.fy * (y - ray.y * z)) / point.z;
+            pixels as f32 * map.log_scales[index][axis].exp()
+        })
+    }
+
     /// Replaces a Gaussian by two along an axis, with the colours of the picture.
     fn split(&self, map: &mut GaussianMap, bounds: &mut ScaleBounds, index: usize, axis: usize) {
         let Some(mut other) = map.get(index) else { return };
-        let [w, x, y, z] = other.rotation;
-        let axes = Rotation::from_wxyz(w, x, y, z).unwrap_or_else(Rotation::identity).matrix();
+        let axes = axes(other.rotation);
         let distance = HALF * other.log_scale[axis].exp();
-        let offset = [0, 1, 2].map(|row| distance * axes[(row, axis)]);
+        let offset = [0, 1, 2].map(|row| distance * axes[(row, axis)] as f32);
         other.log_scale[axis] += HALF.ln();
         let colour_from_world = self.source.colour_from_depth * self.camera_from_world;
         let [first, second] = [-1.0, 1.0].map(|side| {
@@ -174,8 +185,14 @@ impl Splitter<'_> {
         (map.means[index], map.colours[index]) = first;
         (other.mean, other.colour) = second;
         map.push(other);
-        bounds.split(index, HALF);
+        bounds.split(index, axis, HALF);
     }
+}
+
+/// Axes of a Gaussian in the world: columns.
+fn axes(rotation: [f32; 4]) -> Mat3<f64> {
+    let [w, x, y, z] = rotation.map(f64::from);
+    Rotation::from_wxyz(w, x, y, z).unwrap_or_else(Rotation::identity).matrix()
 }
 
 /// Column and row of the pixel that shows a point, if it lies before the camera and in the picture.
@@ -222,7 +239,7 @@ mod tests {
                 opacity_logit: 4.0,
                 colour: [0.5; 3],
             });
-            bounds.push(pixel, deviation);
+            bounds.push(pixel, [deviation, deviation, 0.1 * deviation].map(f32::ln));
         }
         (map, bounds)
     }
