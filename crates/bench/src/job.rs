@@ -293,7 +293,8 @@ fn measure_pinholes(folder: &Path) -> Result<(), Stopped> {
     }
     let share = pinholes::of_result(&folder.join("result"));
     let share = share.map_err(|e| Stopped::Failed(format!("pinholes not measured: {e}")))?;
-    let metrics: Metrics = share.map(|share| (PINHOLES.key.to_owned(), share)).into_iter().collect();
+    let metrics: Metrics =
+        share.map(|share| (PINHOLES.key.to_owned(), share)).into_iter().collect();
     let text = serde_json::to_string(&metrics).map_err(|e| Stopped::Failed(e.to_string()))?;
     Ok(write_text(&file, &(text + "\n"))?)
 }

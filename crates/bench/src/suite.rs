@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use toml::Table;
 
 /// Suites that come with the program: name and text.
-pub(crate) const SHIPPED: [(&str, &str); 13] = [
+pub(crate) const SHIPPED: [(&str, &str); 14] = [
     ("ablation", include_str!("../../../suites/ablation.toml")),
     ("ablation-scannet", include_str!("../../../suites/ablation-scannet.toml")),
     ("virtual-cameras", include_str!("../../../suites/virtual-cameras.toml")),
@@ -17,6 +17,7 @@ pub(crate) const SHIPPED: [(&str, &str); 13] = [
     ("synthetic", include_str!("../../../suites/synthetic.toml")),
     ("presets", include_str!("../../../suites/presets.toml")),
     ("blur-models", include_str!("../../../suites/blur-models.toml")),
+    ("shapes", include_str!("../../../suites/shapes.toml")),
     ("maps", include_str!("../../../suites/maps.toml")),
     ("paper", include_str!("../../../suites/paper.toml")),
     ("rgb", include_str!("../../../suites/rgb.toml")),

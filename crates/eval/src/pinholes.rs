@@ -232,8 +232,12 @@ fn footprint(splat: &Splat, camera: &Camera<f64>, pose: Pose<f64>) -> Option<Foo
     let largest = middle + (middle * middle - determinant).max(0.0).sqrt();
     let (u, v) = camera.project(point);
     let conic = [yy / determinant, -xy / determinant, xx / determinant];
-    let footprint =
-        Footprint { centre: [u, v], depth: point.z, conic, reach: (EXTENT * largest.sqrt()).ceil() };
+    let footprint = Footprint {
+        centre: [u, v],
+        depth: point.z,
+        conic,
+        reach: (EXTENT * largest.sqrt()).ceil(),
+    };
     (u.is_finite() && v.is_finite() && determinant > 0.0).then_some(footprint)
 }
 
@@ -300,7 +304,8 @@ mod tests {
 
     #[test]
     fn without_depth_nothing_is_measured() {
-        let nothing = pinholes(&grid(0.6, 2.0), &camera(), Pose::identity(), &Image::new(24, 16, 1));
+        let nothing =
+            pinholes(&grid(0.6, 2.0), &camera(), Pose::identity(), &Image::new(24, 16, 1));
         assert!(matches!(nothing, Err(EvalError::TooFew { .. })));
     }
 }

@@ -31,6 +31,12 @@ pub fn write_picture(out: &mut dyn Write, picture: &Image<f32>) -> io::Result<()
     write_png(out, header, &interleaved_bytes(picture))
 }
 
+/// Writes one plane in `[0, 1]` as an 8-bit grey PNG.
+fn write_mask(out: &mut dyn Write, mask: &Image<f32>) -> io::Result<()> {
+    let bytes: Vec<u8> = mask.plane(0).iter().map(|&value| byte(value)).collect();
+    write_png(out, (mask, png::ColorType::Grayscale, png::BitDepth::Eight), &bytes)
+}
+
 /// Writes depth [m] as a 16-bit grey PNG: 5000 is 1 m, 0 is no depth. Depth beyond 13.1 m does not
 /// fit 16 bits and becomes 0.
 pub fn write_depth(out: &mut dyn Write, depth: &Image<f32>) -> io::Result<()> {
@@ -92,11 +98,13 @@ pub enum RenderKind {
     Hdr,
     /// Depth along the optical axis.
     Depth,
+    /// Opacity of the map: black where nothing was ever seen.
+    Opacity,
 }
 
 impl RenderKind {
     /// All kinds.
-    pub const ALL: [Self; 4] = [Self::Sharp, Self::Blurred, Self::Hdr, Self::Depth];
+    pub const ALL: [Self; 5] = [Self::Sharp, Self::Blurred, Self::Hdr, Self::Depth, Self::Opacity];
 
     /// Name of the kind and of its folder.
     pub fn name(self) -> &'static str {
@@ -105,6 +113,7 @@ impl RenderKind {
             Self::Blurred => "blurred",
             Self::Hdr => "hdr",
             Self::Depth => "depth",
+            Self::Opacity => "opacity",
         }
     }
 
@@ -138,6 +147,7 @@ pub fn save_render(
         RenderKind::Sharp | RenderKind::Blurred => write_picture(out, image),
         RenderKind::Hdr => write_radiance(out, image),
         RenderKind::Depth => write_depth(out, image),
+        RenderKind::Opacity => write_mask(out, image),
     });
     Ok(written?)
 }

@@ -33,7 +33,7 @@ pub(crate) struct Render {
     /// Poses of your own, a file in the TUM format
     #[arg(long, value_name = "FILE")]
     pub(crate) poses: Option<PathBuf>,
-    /// Kinds: sharp, blurred, hdr, depth [default: all that apply]
+    /// Kinds: sharp, blurred, hdr, depth, opacity [default: all that apply]
     #[arg(long, value_name = "KINDS", value_delimiter = ',')]
     pub(crate) kinds: Option<Vec<String>>,
     /// Folder for the pictures, with their poses [default: renders/ of the result, views/ for poses
@@ -101,7 +101,7 @@ const POSES_HEADER: &str =
     "# i2slam render: number of the picture, tx ty tz qx qy qz qw, world from camera";
 
 /// Names in a folder of pictures.
-const NAMES: &[&str] = &[POSES, "sharp", "blurred", "hdr", "depth"];
+const NAMES: &[&str] = &[POSES, "sharp", "blurred", "hdr", "depth", "opacity"];
 
 /// Folder of the pictures.
 struct Pictures {
@@ -184,6 +184,7 @@ fn picture(viewer: &mut Viewer<'_>, kind: RenderKind, frame: &FrameEstimate) -> 
         RenderKind::Blurred => viewer.blurred(frame),
         RenderKind::Hdr => viewer.hdr(frame.middle()),
         RenderKind::Depth => viewer.depth(frame.middle()),
+        RenderKind::Opacity => viewer.opacity(frame.middle()),
     }
 }
 

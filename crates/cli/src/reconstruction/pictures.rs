@@ -100,9 +100,12 @@ impl PictureRenderer<'_> {
         let blurred = viewer.blurred(frame);
         let hdr = viewer.hdr(frame.middle());
         let depth = viewer.depth(frame.middle());
+        let opacity = viewer.opacity(frame.middle());
         let RenderedPictures { metrics, failure, .. } = rendered;
         let write = || match file {
-            true => write_all(folder, frame.index, [&sharp, &blurred, &hdr, &depth]).err(),
+            true => {
+                write_all(folder, frame.index, [&sharp, &blurred, &hdr, &depth, &opacity]).err()
+            }
             false => None,
         };
         let measure = || {
@@ -158,7 +161,7 @@ impl PictureRenderer<'_> {
 fn write_all(
     folder: &OutputFolder,
     index: usize,
-    pictures: [&Image<f32>; 4],
+    pictures: [&Image<f32>; 5],
 ) -> Result<(), ResultError> {
     let kinds = RenderKind::ALL.into_par_iter().zip(pictures).with_max_len(1);
     let written: Vec<_> =

@@ -1,5 +1,6 @@
 //! Renders of a reconstruction.
 
+mod hole_filling;
 mod pose_optimization;
 
 pub use pose_optimization::OptimisedPose;
@@ -22,7 +23,7 @@ pub struct Viewer<'a> {
     reconstruction: &'a Reconstruction,
     camera: Camera<f64>,
     map: Box<dyn RenderMap + 'a>,
-    /// Last sharp render and its pose: most pictures of a frame are made from one render.
+    /// Last sharp render, its holes filled, and its pose: most pictures of a frame are made from one render.
     last_render: Option<(Pose<f64>, Render)>,
 }
 
@@ -83,9 +84,15 @@ impl Viewer<'_> {
         self.map.predict(&FrameVariables { exposure, tone }).clone()
     }
 
-    /// Linear radiance from a world-from-camera pose; picture values with `tone` off.
+    /// Linear radiance from a world-from-camera pose; picture values with `tone` off. Small holes of the
+    /// map are filled, large ones have a soft border: [`opacity`](Self::opacity) tells.
     pub fn hdr(&mut self, world_from_camera: Pose<f64>) -> Image<f32> {
         self.render(world_from_camera).radiance.clone()
+    }
+
+    /// Opacity of the map from a world-from-camera pose, in `[0, 1]`: 0 where nothing was ever seen.
+    pub fn opacity(&mut self, world_from_camera: Pose<f64>) -> Image<f32> {
+        self.render(world_from_camera).opacity.clone()
     }
 
     /// Depth from a world-from-camera pose [m]; 0 where the map is not opaque.
@@ -114,8 +121,11 @@ impl Viewer<'_> {
 
     fn render(&mut self, world_from_camera: Pose<f64>) -> &Render {
         let last = self.last_render.take().filter(|(from, _)| *from == world_from_camera);
-        let render =
-            last.unwrap_or_else(|| (world_from_camera, self.map.render(world_from_camera).clone()));
+        let render = last.unwrap_or_else(|| {
+            let mut render = self.map.render(world_from_camera).clone();
+            render.radiance = hole_filling::filled(&render);
+            (world_from_camera, render)
+        });
         &self.last_render.insert(render).1
     }
 
@@ -200,7 +210,12 @@ mod tests {
         let mut viewer = room.viewer();
         let frame = turning(&room, 0.0, 0.0);
         let sharp = viewer.sharp(&frame);
-        assert!(difference(&sharp, &viewer.blurred(&frame)) < 1e-6);
+        // Without motion both pictures are the same, but for filled holes.
+        let (blurred, opacity) = (viewer.blurred(&frame), viewer.opacity(frame.middle()));
+        for (pixel, opacity) in opacity.data.iter().enumerate() {
+            let error = (sharp.plane(1)[pixel] - blurred.plane(1)[pixel]).abs();
+            assert!(error <= 2.0 * (1.0 - opacity) + 1e-5, "{error} at {opacity}");
+        }
         let here = viewer.hdr(frame.middle());
         let away = rotated(0.1);
         assert!(difference(&here, &viewer.hdr(away)) > 0.01);

@@ -6,11 +6,11 @@ use crate::objective::Observation;
 use i2slam_compute::median;
 use i2slam_formation::Formation;
 use i2slam_geometry::{Camera, Image, Pose, Tangent, Vec3};
-use i2slam_radiance::gaussian::{ColourActivation, Gaussian, GaussianMap, Render};
+use i2slam_radiance::gaussian::{ColourActivation, Gaussian, GaussianMap, Render, Shape};
 use std::sync::Arc;
 
-/// Rendered opacity below which a pixel receives a new Gaussian (SplaTAM).
-const MAX_OPEN_OPACITY: f32 = 0.5;
+/// Rendered opacity below which a pixel receives a new ball (SplaTAM), and a new flat Gaussian.
+const MAX_OPEN_OPACITY: [f32; 2] = [0.5, 0.7];
 /// Depth error, in medians of a frame, above which a surface in front of the map is new (SplaTAM).
 const MAX_DEPTH_ERROR: f32 = 50.0;
 /// Opacity below which a Gaussian is removed (SplaTAM).
@@ -35,8 +35,13 @@ pub(super) struct SourceFrame<'a> {
     pub(super) tone: Option<Formation<'a>>,
 }
 
-/// Marks the pixels of low opacity or far in front of the rendered surface.
-pub(super) fn unexplained_pixels(source: &SourceFrame<'_>, render: &Render) -> Vec<bool> {
+/// Marks the pixels at which a map of some shape has low opacity, or that lie far in front of the
+/// rendered surface.
+pub(super) fn unexplained_pixels(
+    shape: Shape,
+    source: &SourceFrame<'_>,
+    render: &Render,
+) -> Vec<bool> {
     let observed = &source.observation.depth.data;
     let errors: Vec<f32> = render
         .depth
@@ -46,8 +51,9 @@ pub(super) fn unexplained_pixels(source: &SourceFrame<'_>, render: &Render) -> V
         .map(|(r, &o)| if o > 0.0 { (r - o).abs() } else { 0.0 })
         .collect();
     let limit = MAX_DEPTH_ERROR * median_depth_error(source.observation, &errors);
+    let max_opacity = MAX_OPEN_OPACITY[usize::from(shape == Shape::Anisotropic)];
     let is_unexplained = |i: usize| {
-        let open = render.opacity.data[i] < MAX_OPEN_OPACITY;
+        let open = render.opacity.data[i] < max_opacity;
         let in_front = render.depth.data[i] > observed[i] && errors[i] > limit;
         open || in_front
     };

@@ -8,14 +8,16 @@ use i2slam_geometry::{Mat3, Rotation, symmetric_eigen};
 use i2slam_radiance::gaussian::{ColourActivation, Gaussian, GaussianMap};
 
 /// Standard deviation along the edges of a square, in edges: neighbours overlap without gaps.
-pub(super) const SQUARE_DEVIATION: f64 = 0.6;
+pub(super) const SQUARE_DEVIATION: f64 = 0.5;
 /// Largest ratio of the deviations along the surface: what is seen at a grazing angle is not known
 /// better.
 const MAX_ELONGATION: f64 = 4.0;
 /// Thickness over the mean of the deviations along the surface.
 const THICKNESS: f64 = 0.1;
+/// Opacity of a new Gaussian: a surface hides what is behind it.
+const INITIAL_OPACITY: f32 = 0.95;
 
-/// Adds a flat Gaussian for every square of the marked pixels, a ball for pixels without a plane.
+/// Adds a flat Gaussian for every square of the marked pixels, a ball for single pixels.
 pub(super) fn push_flat_gaussians(
     map: &mut GaussianMap,
     bounds: &mut ScaleBounds,
@@ -25,14 +27,15 @@ pub(super) fn push_flat_gaussians(
 ) {
     let focal = 0.5 * (source.camera.fx + source.camera.fy) as f32;
     for square in squares {
-        let gaussian = match square.has_plane() {
-            false => {
+        let gaussian = match square.size {
+            1 => {
                 let pixel = square.row * source.camera.width + square.column;
                 ball(map.activation, parameters, source, pixel)
             }
-            true => disc(map.activation, parameters, source, square),
+            _ => disc(map.activation, source, square),
         };
-        if let Some(gaussian) = gaussian {
+        if let Some(mut gaussian) = gaussian {
+            gaussian.opacity_logit = logit(INITIAL_OPACITY);
             let pixel = 1.0 / (square.inverse_depth[0] * focal);
             bounds.push(pixel, gaussian.log_scale);
             map.push(gaussian);
@@ -43,7 +46,6 @@ pub(super) fn push_flat_gaussians(
 /// A flat Gaussian on the plane of a square; `None` where no radiance is known.
 fn disc(
     activation: ColourActivation,
-    parameters: &GaussianParameters,
     source: &SourceFrame<'_>,
     square: &Square,
 ) -> Option<Gaussian<f32>> {
@@ -53,7 +55,7 @@ fn disc(
         mean: (source.world_from_depth * square.centre(source.camera)).cast::<f32>().to_array(),
         log_scale,
         rotation,
-        opacity_logit: logit(parameters.initial_opacity),
+        opacity_logit: logit(INITIAL_OPACITY),
         colour,
     })
 }

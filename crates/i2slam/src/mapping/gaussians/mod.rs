@@ -207,7 +207,7 @@ impl Mapper for GaussianMapper {
         let (observation, curve) = (current.observation.get(), response_curve(context, current));
         let source = source_frame(context, current, &observation, curve.as_ref(), render.as_ref());
         let wanted = match &render {
-            Some(render) => unexplained_pixels(&source, render),
+            Some(render) => unexplained_pixels(self.current.map.shape, &source, render),
             None => {
                 let farthest = observation.depth.data.iter().copied().fold(0.0, f32::max);
                 self.scene_radius = farthest / parameters.scene_radius_ratio;

@@ -47,11 +47,6 @@ impl Square {
         (row..row + size).flat_map(move |y| (column..column + size).map(move |x| (x, y)))
     }
 
-    /// Whether it is known which way the surface faces.
-    pub(super) fn has_plane(&self) -> bool {
-        self.size > 1 || self.inverse_depth[1..] != [0.0; 2]
-    }
-
     /// Its centre on the surface, in the camera [m].
     pub(super) fn centre(&self, camera: &Camera<f64>) -> Vec3<f64> {
         self.ray(camera) * f64::from(1.0 / self.inverse_depth[0])

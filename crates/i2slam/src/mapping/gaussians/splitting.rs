@@ -20,7 +20,7 @@ const MAX_SHIFT: f32 = 0.5;
 /// its depth.
 const MAX_DEPTH_DIFFERENCE: f32 = 0.02;
 /// Deviation over that of a Gaussian of the size asked for, from which on one is split.
-const MAX_SIZE_RATIO: f32 = 2.0;
+const MAX_SIZE_RATIO: f32 = 2.4;
 /// Deviation of the halves along the axis that is split, and their distance from the middle, in
 /// deviations of the whole.
 const HALF: f32 = 0.6;
@@ -97,8 +97,9 @@ fn wrong_pixels(source: &SourceFrame<'_>, render: &Render, limit: f32) -> Vec<bo
     (0..width * height).map(|pixel| (0..3).any(|c| is_wrong(pixel, c))).collect()
 }
 
-/// Splits the Gaussians on the rendered surface that are larger than the picture asks for. Returns the
-/// index of the one that each appended Gaussian came from.
+/// Splits the Gaussians on the rendered surface that are larger than the picture asks for, and lowers the
+/// least size of those that are seen from nearer than before. Returns the index of the one that each
+/// appended Gaussian came from.
 pub(super) fn split_gaussians(
     map: &mut GaussianMap,
     bounds: &mut ScaleBounds,
@@ -114,6 +115,8 @@ pub(super) fn split_gaussians(
     };
     let mut origins = Vec::new();
     for origin in 0..map.len() {
+        let Some(seen) = splitter.seen(map, origin) else { continue };
+        bounds.see(origin, seen.point.z as f32 / source.camera.fx as f32);
         let mut waiting = vec![(origin, 0)];
         while let Some((index, generation)) = waiting.pop() {
             if let Some(axis) = splitter.axis_to_split(map, index) {
@@ -136,21 +139,31 @@ struct Splitter<'a> {
     camera_from_world: Pose<f64>,
 }
 
+/// Where a Gaussian is seen: its centre in the camera [m], and its pixel.
+struct Seen {
+    point: Vec3<f64>,
+    pixel: [usize; 2],
+}
+
 impl Splitter<'_> {
-    /// The axis of a Gaussian that is longest in the picture, if it is seen and too long.
-    fn axis_to_split(&self, map: &GaussianMap, index: usize) -> Option<usize> {
+    /// A Gaussian on the rendered surface.
+    fn seen(&self, map: &GaussianMap, index: usize) -> Option<Seen> {
         let camera = self.source.camera;
         let point = self.camera_from_world * Vec3::from_array(map.means[index]).cast::<f64>();
+        let pixel = pixel_of(camera, point)?;
+        let at = pixel[1] * camera.width + pixel[0];
+        let surface = self.render.depth.data[at] / self.render.opacity.data[at];
         let z = point.z as f32;
-        let at = pixel_of(camera, point)?;
-        let pixel = at[1] * camera.width + at[0];
-        let surface = self.render.depth.data[pixel] / self.render.opacity.data[pixel];
-        let is_seen = (z - surface).abs() <= MAX_DEPTH_DIFFERENCE * z;
+        ((z - surface).abs() <= MAX_DEPTH_DIFFERENCE * z).then_some(Seen { point, pixel })
+    }
+
+    /// The axis of a Gaussian that is longest in the picture, if it is seen and too long.
+    fn axis_to_split(&self, map: &GaussianMap, index: usize) -> Option<usize> {
+        let Seen { point, pixel } = self.seen(map, index)?;
         let lengths = self.lengths(map, index, point);
         let axis = (0..3).max_by(|&a, &b| lengths[a].total_cmp(&lengths[b]))?;
         let deviation = lengths[axis];
-        let asked = self.demand.at(at, 2.0 * deviation).filter(|_| is_seen)?;
-        let wanted = SQUARE_DEVIATION as f32 * asked;
+        let wanted = SQUARE_DEVIATION as f32 * self.demand.at(pixel, 2.0 * deviation)?;
         (deviation >= MAX_SIZE_RATIO * wanted).then_some(axis)
     }
 
@@ -282,8 +295,8 @@ mod tests {
 
     #[test]
     fn detail_that_is_not_predicted_splits_what_covers_it() {
-        // A line one pixel wide through the second column of discs.
-        let (map, origins) = split_by(|x, _| if x == 10 { 0.1 } else { 0.5 });
+        // A line through the second column of discs.
+        let (map, origins) = split_by(|x, _| if (9..12).contains(&x) { 0.1 } else { 0.5 });
         assert_eq!(map.len(), 16 + origins.len());
         assert!(origins.len() >= 8, "{}", origins.len());
         assert!(origins.iter().all(|origin| origin % 4 == 1), "{origins:?}");
