@@ -1,11 +1,11 @@
 //! One job: reconstruction and evaluation by the program `i2slam`, and the record of both.
 
 use crate::console::Failure;
-use crate::metrics::{self, Metrics, PINHOLES};
-use crate::pinholes;
+use crate::metrics::{self, Metrics, OFF_SURFACE, PINHOLES};
 use crate::plan::{Job, Plan};
 use crate::process::{Call, Stopped};
 use crate::sequences::{FrameList, Source};
+use crate::splats::{self, SplatFigures};
 use i2slam_eval::frame_list;
 use i2slam_result::remove_renders;
 use i2slam_storage::{FolderLock, StorageError, first_entry, write_file};
@@ -189,7 +189,7 @@ impl Bench<'_> {
             record.reconstructed = true;
         }
         self.evaluate(job, folder, &record.work, started)?;
-        measure_pinholes(folder)?;
+        measure_splats(folder)?;
         if !self.keep_renders {
             remove_renders(&result).map_err(|e| Stopped::Failed(e.to_string()))?;
         }
@@ -285,16 +285,19 @@ impl Bench<'_> {
     }
 }
 
-/// Measures the pinholes of a map of Gaussians, once, where the sequence has depth.
-fn measure_pinholes(folder: &Path) -> Result<(), Stopped> {
+/// Measures a map of Gaussians as viewers draw it, once, where the sequence has depth.
+fn measure_splats(folder: &Path) -> Result<(), Stopped> {
     let file = folder.join(metrics::OWN);
     if file.is_file() {
         return Ok(());
     }
-    let share = pinholes::of_result(&folder.join("result"));
-    let share = share.map_err(|e| Stopped::Failed(format!("pinholes not measured: {e}")))?;
+    let figures = splats::of_result(&folder.join("result"));
+    let figures = figures.map_err(|e| Stopped::Failed(format!("map.ply not measured: {e}")))?;
+    let of = |figures: SplatFigures| {
+        [(&PINHOLES, figures.pinholes), (&OFF_SURFACE, figures.off_surface)]
+    };
     let metrics: Metrics =
-        share.map(|share| (PINHOLES.key.to_owned(), share)).into_iter().collect();
+        figures.map(of).into_iter().flatten().map(|(m, v)| (m.key.to_owned(), v)).collect();
     let text = serde_json::to_string(&metrics).map_err(|e| Stopped::Failed(e.to_string()))?;
     Ok(write_text(&file, &(text + "\n"))?)
 }

@@ -2,7 +2,8 @@
 
 use crate::console::counted;
 use crate::metrics::{
-    ATE, DEPTH, GAUSSIANS, LPIPS, MAPPING, MEMORY, Metric, PINHOLES, PSNR, SECONDS, SSIM, TRACKING,
+    ATE, DEPTH, GAUSSIANS, LPIPS, MAPPING, MEMORY, Metric, OFF_SURFACE, PINHOLES, PSNR, SECONDS,
+    SSIM, TRACKING,
 };
 use crate::plan::{Configuration, Job};
 use crate::suite::{Protocol, TableKind};
@@ -95,13 +96,14 @@ fn tracking(results: &Results<'_>) -> Table {
 /// Size and density of maps.
 fn map(results: &Results<'_>) -> Table {
     let what = "Gaussians of the map, and pinholes: share of the surface seen by a frame through which \
-                more than half of the light passes, as viewers draw map.ply from 40 % nearer.";
+                more than half of the light passes, as viewers draw map.ply from 40 % nearer; share of the Gaussians off the surface by \
+                more than 2 % of its depth.";
     sequence_table(
         results,
         ("map", "Size and density of the map"),
         what,
         &["Method", "Metric"],
-        &[&GAUSSIANS, &PINHOLES],
+        &[&GAUSSIANS, &PINHOLES, &OFF_SURFACE],
     )
 }
 

@@ -10,8 +10,8 @@ pub mod exposure;
 pub mod frame_list;
 pub mod hdr;
 pub mod image;
-pub mod pinholes;
 pub mod sharpness;
+pub mod splats;
 pub mod statistics;
 pub mod trajectory;
 

@@ -11,6 +11,7 @@
 //! over the Gaussians whose centre lies within a tenth of the depth of the surface at the pixel. A
 //! pixel of the surface is a pinhole where more than half of the light passes: `T > 0.5`.
 
+use super::Splat;
 use crate::EvalError;
 use i2slam_geometry::{Camera, Image, Pose, Rotation, Vec3};
 
@@ -31,19 +32,6 @@ const MAX_ALPHA: f32 = 0.99;
 const MIN_ALPHA: f32 = 1.0 / 255.0;
 const EXTENT: f64 = 3.0;
 const MAX_TANGENT: f64 = 1.3;
-
-/// A Gaussian of a splat file.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Splat {
-    /// Centre in the world.
-    pub mean: Vec3<f64>,
-    /// Standard deviations along its axes, in the unit of the centre.
-    pub scale: [f64; 3],
-    /// World from Gaussian.
-    pub rotation: Rotation<f64>,
-    /// Opacity at its centre, 0 to 1.
-    pub opacity: f32,
-}
 
 /// Pixels of a surface, and how many of them are pinholes.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

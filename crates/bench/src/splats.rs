@@ -1,20 +1,31 @@
-//! Pinholes of a result: its `map.ply` as viewers draw it, against the depth of its sequence.
+//! Figures of a result's `map.ply` as viewers draw it, against the depth of its sequence.
 
 use i2slam::dataset::{OpenOptions, Sequence};
 use i2slam::geometry::{Image, Rotation, Vec3};
-use i2slam_eval::pinholes::{Pinholes, Splat, pinholes};
+use i2slam_eval::splats::{Pinholes, Splat, SurfaceDistance, pinholes};
 use i2slam_result::RunInput;
 use std::collections::HashMap;
 use std::path::Path;
 
-/// Frames that are looked at, evenly spread.
-const FRAMES: usize = 8;
+/// Frames whose pinholes are counted, evenly spread.
+const PINHOLE_FRAMES: usize = 8;
+/// Relative distance from the surface beyond which a Gaussian lies elsewhere.
+const MAX_DISTANCE: f64 = 0.02;
 
 /// Anything that can go wrong, in one line.
 pub(crate) type Failure = Box<dyn std::error::Error>;
 
-/// Share of the surface that is pinholes; `None` without Gaussians or true depth.
-pub(crate) fn of_result(result: &Path) -> Result<Option<f64>, Failure> {
+/// Figures of a map of Gaussians.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct SplatFigures {
+    /// Share of the surface through which more than half of the light passes.
+    pub(crate) pinholes: f64,
+    /// Share of the Gaussians farther than 2 % of the depth from the surface.
+    pub(crate) off_surface: f64,
+}
+
+/// Figures of a result; `None` without Gaussians or true depth.
+pub(crate) fn of_result(result: &Path) -> Result<Option<SplatFigures>, Failure> {
     let (ply, input) = (result.join("map.ply"), RunInput::load(result)?);
     let Some(input) = input.filter(|_| ply.is_file()) else { return Ok(None) };
     let splats = read_splats(&std::fs::read(&ply)?)
@@ -23,19 +34,26 @@ pub(crate) fn of_result(result: &Path) -> Result<Option<f64>, Failure> {
     let options = OpenOptions { colour_only: false, ..input.options };
     let sequence = Sequence::open(&input.dataset, &options)?;
     let mut viewer = reconstruction.viewer();
+    let frames: Vec<_> = reconstruction.frames.iter().filter(|frame| frame.tracked).collect();
+    let spacing = frames.len().div_ceil(PINHOLE_FRAMES).max(1);
     let mut total = Pinholes::default();
-    let with_depth = reconstruction.frames.iter().filter(|frame| frame.tracked);
-    let frames: Vec<_> = with_depth.collect();
-    for number in 0..FRAMES.min(frames.len()) {
-        let frame = frames[number * frames.len() / FRAMES.min(frames.len())];
+    let mut distance = SurfaceDistance::new(splats.len());
+    for (number, frame) in frames.into_iter().enumerate() {
         let position = sequence.entries.iter().position(|entry| entry.index == frame.index);
         let Some(position) = position else { continue };
         let Some(depth) = sequence.load(position)?.depth else { continue };
         let drawn = viewer.depth(frame.depth_pose());
         let Some(depth) = in_unit_of(&drawn, &depth.image) else { continue };
-        total += pinholes(&splats, &reconstruction.camera, frame.depth_pose(), &depth)?;
+        distance.add_frame(&splats, &reconstruction.camera, frame.depth_pose(), &depth);
+        if number % spacing == 0 {
+            total += pinholes(&splats, &reconstruction.camera, frame.depth_pose(), &depth)?;
+        }
     }
-    Ok((total.surface > 0).then(|| total.open as f64 / total.surface as f64))
+    let off_surface = distance.share_beyond(MAX_DISTANCE).filter(|_| total.surface > 0);
+    Ok(off_surface.map(|off_surface| SplatFigures {
+        pinholes: total.open as f64 / total.surface as f64,
+        off_surface,
+    }))
 }
 
 /// True depth in the unit of the map, by the median ratio; `None` where the map is not seen, or
