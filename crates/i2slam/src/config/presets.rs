@@ -121,6 +121,7 @@ fn ours() -> Config {
             fill_depth: true,
             ..paper.mapping
         },
+        map: MapConfig { isotropic: false, ..paper.map },
         parameters: Parameters::of_preset("default"),
         ..paper
     }

@@ -219,7 +219,9 @@ impl Mapper for GaussianMapper {
             Shape::Isotropic => push_balls(map, parameters, &source, &wanted),
             Shape::Anisotropic => {
                 let (tree, bounds) = (quadtree(&source), &mut self.scale_bounds);
-                if let Some(render) = &render {
+                // Other frames share the detail of keyframes, and would split before steps explain it.
+                let is_keyframe = context.keyframes.iter().any(|k| k.frame == current.frame);
+                if let Some(render) = render.as_ref().filter(|_| is_keyframe) {
                     self.anchors.inherit(&split_gaussians(map, bounds, &source, render, &tree));
                 }
                 push_flat_gaussians(map, bounds, parameters, &source, &tree.squares(&wanted));
@@ -272,14 +274,16 @@ impl Mapper for GaussianMapper {
         Ok(FinalRefinement { steps, relocalizations: Self::RELOCALIZATIONS })
     }
 
-    /// Steps over all keyframes in random order, each equally often, then prunes.
+    /// Steps over all keyframes in random order, each equally often, then prunes. Flat Gaussians are
+    /// split first where at least a third of all steps is left to fit the parts.
     fn refine_all(
         &mut self,
         context: &mut MappingContext<'_>,
         (steps, total): (Range<usize>, usize),
         on_step: OnStep<'_>,
     ) -> bool {
-        if steps.start == 0 && self.current.map.shape == Shape::Anisotropic {
+        let splits = 3 * steps.start < 2 * total;
+        if splits && self.current.map.shape == Shape::Anisotropic {
             context.keyframes.iter().for_each(|keyframe| self.split(context, keyframe));
             self.enforce_capacity(context);
         }

@@ -13,7 +13,7 @@ use i2slam_radiance::Render;
 use i2slam_radiance::gaussian::GaussianMap;
 
 /// Prediction error above which a pixel is wrong, in deviations up to which a square counts as plain.
-const MAX_ERROR: f32 = 2.0;
+const MAX_ERROR: f32 = 4.0;
 /// Shift of the picture that explains an error [px].
 const MAX_SHIFT: f32 = 0.5;
 /// Distance between a Gaussian and the rendered surface up to which it counts as seen, as a share of
