@@ -73,7 +73,7 @@ impl Plan {
         let names = configurations.iter().map(|c| (&c.slug, &c.entry.name));
         distinct(names, "configurations", &file.name)?;
         let mut suite = file.suite;
-        let all_mapped = configurations.iter().find(|c| c.config.mapping.hold_out == 0);
+        let all_mapped = configurations.iter().find(|c| c.config.mapping.maps_all());
         if let (Some(Protocol::HeldOut), Some(configuration)) = (suite.protocol, all_mapped) {
             return Err(Failure::Usage(format!(
                 "{}: protocol \"held-out\" judges frames that the map never saw, and configuration \

@@ -6,6 +6,7 @@ mod commands;
 mod console;
 mod failure;
 mod ground_truth;
+mod held_out_frames;
 mod image_files;
 mod interrupt;
 mod messages;

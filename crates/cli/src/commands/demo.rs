@@ -34,6 +34,7 @@ pub(crate) fn demo(arguments: &Demo) -> Result<(), Failure> {
         out: arguments.out.clone(),
         options,
         settings_file: None,
+        held_out_frames: None,
         renders: RenderSelection::All,
         overwrite: true,
         quiet: arguments.machine.quiet,

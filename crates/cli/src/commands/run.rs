@@ -3,6 +3,7 @@
 use crate::arguments::{Input, Machine};
 use crate::console::print_status;
 use crate::failure::Failure;
+use crate::held_out_frames::{HoldOut, parse_hold_out};
 use crate::interrupt::{self, Reading};
 use crate::pose_lines::PoseLines;
 use crate::reconstruction::{self, Job, RenderSelection};
@@ -55,9 +56,10 @@ pub(crate) struct Run {
     pub(crate) map: Option<Map>,
     #[command(flatten)]
     pub(crate) formation: Formation,
-    /// Hold out every N-th frame: tracked, but never mapped, for `eval --protocol held-out`
-    #[arg(long, value_name = "N")]
-    pub(crate) hold_out: Option<usize>,
+    /// Hold out every N-th frame, or the frames that a file names, by number or file name, one a line:
+    /// tracked, but never mapped, for `eval --protocol held-out`
+    #[arg(long, value_name = "N or FILE", value_parser = parse_hold_out)]
+    pub(crate) hold_out: Option<HoldOut>,
     /// Write poses while frames come, a line in the TUM format for each frame that has one, to a new
     /// file, a named pipe, or - for the standard output (results then go to standard error);
     /// trajectory.txt has the final ones
@@ -153,6 +155,13 @@ fn run_stream(arguments: &Run) -> Result<(), Failure> {
     if arguments.distortion == Distortion::Estimate {
         refuse_estimate(&Run { rgb: true, ..arguments.clone() })?;
     }
+    if let Some(HoldOut::Listed(list)) = &arguments.hold_out {
+        return Err(Failure::Usage(format!(
+            "{name} is a stream, whose frames are not known yet: --hold-out {} goes with a file or a \
+             folder, --hold-out N with both",
+            list.display()
+        )));
+    }
     let settings = settings(arguments)?;
     let is_rgb = arguments.rgb || settings.is_rgb();
     let poses = match is_rgb {
@@ -196,6 +205,10 @@ fn job(arguments: &Run) -> Result<Job<'_>, Failure> {
         out: arguments.out.clone(),
         options,
         settings_file: arguments.config.as_deref(),
+        held_out_frames: match &arguments.hold_out {
+            Some(HoldOut::Listed(list)) => Some(list.as_path()),
+            _ => None,
+        },
         renders,
         overwrite: arguments.overwrite,
         quiet: arguments.machine.quiet,
@@ -309,8 +322,10 @@ fn with_flags(mut config: Config, arguments: &Run) -> Result<Config, Failure> {
     if let Some(count) = virtual_cameras {
         formation.virtual_cameras = count;
     }
-    if let Some(every) = arguments.hold_out {
-        config.mapping.hold_out = every;
+    match &arguments.hold_out {
+        Some(HoldOut::Every(every)) => config.mapping.hold_out = *every,
+        Some(HoldOut::Listed(_)) => config.mapping.hold_out = 0,
+        None => {}
     }
     if let Some(map) = arguments.map {
         config.map.kind = match map {

@@ -7,6 +7,7 @@ mod write;
 use crate::console::{print, print_status};
 use crate::failure::Failure;
 use crate::ground_truth::GroundTruth;
+use crate::held_out_frames::listed_frames;
 use crate::interrupt::Reading;
 use crate::pose_lines::PoseLines;
 use crate::progress::Progress;
@@ -23,12 +24,15 @@ use std::sync::Arc;
 use write::{FinishedRun, WrittenRun};
 
 /// Arguments of a run.
+#[derive(Clone)]
 pub(crate) struct Job<'a> {
     pub(crate) dataset: PathBuf,
     pub(crate) out: PathBuf,
     pub(crate) options: RunOptions,
     /// File that settings come from.
     pub(crate) settings_file: Option<&'a Path>,
+    /// List of the frames that are held out.
+    pub(crate) held_out_frames: Option<&'a Path>,
     /// Frames whose renders are written.
     pub(crate) renders: RenderSelection,
     /// Whether an earlier result in `out` may be replaced.
@@ -81,9 +85,13 @@ pub(crate) fn run(job: &Job<'_>) -> Result<(), Failure> {
         print_status(&format!("looking through {}", dataset.display()));
     }
     let sequence = job.options.open_sequence(dataset)?;
-    job.options.validate(&sequence).map_err(|error| placed(error, job))?;
+    let mut job = job.clone();
+    if let Some(list) = job.held_out_frames {
+        job.options.config.mapping.hold_out_frames = listed_frames(list, &sequence)?;
+    }
+    job.options.validate(&sequence).map_err(|error| placed(error, &job))?;
     refuse_dataset(&job.dataset, &job.out)?;
-    reconstruct_into(output_folder(job)?, job, (dataset, &sequence), None)
+    reconstruct_into(output_folder(&job)?, &job, (dataset, &sequence), None)
 }
 
 fn output_folder(job: &Job<'_>) -> Result<OutputFolder, Failure> {

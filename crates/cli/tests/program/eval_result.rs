@@ -47,6 +47,24 @@ fn frames_that_are_held_out_are_tracked_and_never_mapped() {
 }
 
 #[test]
+fn a_list_names_the_frames_that_are_held_out() {
+    let room = Room::with_sharp("held-out-list");
+    let list = room.scratch.join("test-views.txt");
+    let third = fs::read_to_string(room.data.join("rgb.txt")).expect("pictures");
+    let third = third.lines().filter(|line| !line.starts_with('#')).nth(3).expect("a picture");
+    let name = third.split_whitespace().nth(1).expect("its file");
+    fs::write(&list, format!("# two views\n1\n{name}\n")).expect("room");
+    let flags = ["--hold-out", list.to_str().expect("a name"), "--render", "none"];
+    room.run(&flags).exits_with(0);
+    assert_eq!(room.column("held_out"), [0.0, 1.0, 0.0, 1.0, 0.0, 0.0]);
+    let gaussians = room.column("gaussians");
+    assert_eq!([gaussians[1], gaussians[3]], [gaussians[0], gaussians[2]]);
+    fs::write(&list, "1\nnone.png\n").expect("room");
+    let refused = reconstruct(&room.data, &room.scratch.join("x"), &flags);
+    refused.exits_with(1).stderr_contains("test-views.txt: line 2: `none.png`");
+}
+
+#[test]
 fn a_result_knows_its_dataset() {
     let room = Room::with_sharp("recorded");
     room.run(&["--frames", "1..6", "--scale", "0.5"]).exits_with(0);

@@ -228,6 +228,8 @@ section! {
         /// Hold out every n-th frame: tracked, but never mapped, for `eval --protocol held-out`. At
         /// least 2; 0 holds none out.
         hold_out: usize,
+        /// Numbers of single frames that are held out too, as lists of benchmarks give them.
+        hold_out_frames: Vec<usize>,
         /// Keyframes in the window, current frame included. SplaTAM: 10 on ScanNet, 20 on TUM, 24 on
         /// Replica.
         window: usize,
@@ -309,9 +311,16 @@ pub enum TrackingMethod {
 }
 
 impl MappingConfig {
-    /// Whether the frame or keyframe that comes `number`-th is held out; the first, 0, never is.
-    pub(crate) fn holds_out(&self, number: usize) -> bool {
-        self.hold_out > 0 && number > 0 && number.is_multiple_of(self.hold_out)
+    /// Whether the frame or keyframe of this index that comes `number`-th is held out; the first, 0,
+    /// only where it is named.
+    pub(crate) fn holds_out(&self, number: usize, index: usize) -> bool {
+        let is_due = self.hold_out > 0 && number > 0 && number.is_multiple_of(self.hold_out);
+        is_due || self.hold_out_frames.contains(&index)
+    }
+
+    /// Whether no frame is held out.
+    pub fn maps_all(&self) -> bool {
+        self.hold_out == 0 && self.hold_out_frames.is_empty()
     }
 
     /// Steps after the last frame over so many keyframes.

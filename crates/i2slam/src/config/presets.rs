@@ -181,6 +181,7 @@ fn paper_scannet() -> Config {
             first_iterations: 30,
             final_iterations: 0,
             hold_out: 0,
+            hold_out_frames: Vec::new(),
             window: 10,
             keyframe_interval: 5,
             keyframe_motion: 0.0,

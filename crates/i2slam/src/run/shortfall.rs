@@ -53,7 +53,9 @@ pub(super) fn of_holding_out(
     mapping: &MappingConfig,
     (count, item): (usize, &str),
 ) -> Option<String> {
-    let is_none = mapping.hold_out > 0 && !(0..count).any(|number| mapping.holds_out(number));
+    let is_none = mapping.hold_out > 0
+        && mapping.hold_out_frames.is_empty()
+        && !(0..count).any(|number| mapping.holds_out(number, number));
     let plural = if count == 1 { "" } else { "s" };
     is_none.then(|| {
         format!(

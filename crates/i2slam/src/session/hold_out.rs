@@ -15,7 +15,7 @@ impl HoldOut {
     /// True if the frame with this index is held out.
     pub(crate) fn holds_out(&mut self, index: usize, mapping: &MappingConfig) -> bool {
         let number = self.decided.len();
-        *self.decided.entry(index).or_insert_with(|| mapping.holds_out(number))
+        *self.decided.entry(index).or_insert_with(|| mapping.holds_out(number, index))
     }
 
     /// Number of frames so far, those held out included.
@@ -42,5 +42,9 @@ mod tests {
         assert_eq!(held_out(&[6, 4, 2, 0]), [6]);
         assert_eq!(held_out(&[5, 7, 6]), [7, 6]);
         assert_eq!(hold_out.frames(), 7);
+        let mut named = HoldOut::default();
+        (mapping.hold_out, mapping.hold_out_frames) = (0, vec![0, 5]);
+        let held_out = (0..8).filter(|i| named.holds_out(*i, &mapping)).collect::<Vec<_>>();
+        assert_eq!(held_out, [0, 5]);
     }
 }

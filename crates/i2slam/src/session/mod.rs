@@ -140,9 +140,10 @@ impl Session {
         &self.state.frames
     }
 
-    /// Whether the `number`-th frame or keyframe, from 0, is held out (`mapping.hold_out`).
-    pub fn holds_out(&self, number: usize) -> bool {
-        self.config.mapping.holds_out(number)
+    /// Whether the `number`-th frame or keyframe, from 0, of some index is held out
+    /// (`mapping.hold_out`, `mapping.hold_out_frames`).
+    pub fn holds_out(&self, number: usize, index: usize) -> bool {
+        self.config.mapping.holds_out(number, index)
     }
 
     /// Sets the readout that the source of the poses has found [s], unless a setting gives it.

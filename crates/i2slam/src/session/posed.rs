@@ -282,7 +282,8 @@ impl Session {
         self.state.frames.binary_search_by_key(&index, |f| f.index)
     }
 
-    /// A held-out frame relative to the nearest keyframe, with the tone of the one before `place`.
+    /// A frame that is not mapped, relative to the nearest keyframe, with the tone of the one before
+    /// `place`. It counts as held out; where frames are named that are, only as one of these.
     fn unrefined_estimate(
         &self,
         place: usize,
@@ -292,7 +293,8 @@ impl Session {
     ) -> FrameEstimate {
         let pose = self.pose_near_keyframe(timestamp, world_from_camera);
         let mut estimate = FrameEstimate::at_pose(index, timestamp, ShutterPoses::still(pose));
-        estimate.held_out = true;
+        let named = &self.config.mapping.hold_out_frames;
+        estimate.held_out = named.is_empty() || named.contains(&index);
         if let Some(near) = self.state.frames.get(place.saturating_sub(1)) {
             (estimate.tone, estimate.response) = (near.tone, near.response);
             estimate.gaussians = near.gaussians;

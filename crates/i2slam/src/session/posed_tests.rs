@@ -160,7 +160,7 @@ fn a_field_is_sampled_around_surfaces_where_they_are_known() {
         PosedKeyframe { depth, ..keyframe(index, pose(index)) }
     };
     let (held, mapped): (Vec<usize>, Vec<usize>) =
-        (0..KEYFRAMES).partition(|&index| session.holds_out(index));
+        (0..KEYFRAMES).partition(|&index| session.holds_out(index, index));
     assert_eq!(held, [5]);
     for index in mapped {
         session.add_keyframe(seen(index)).expect("a keyframe");

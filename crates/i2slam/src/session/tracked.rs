@@ -33,7 +33,7 @@ impl Session {
         let (mut estimate, starts_map) = self.tracked_estimate(frame, &observation, usable);
         let position = self.state.frames.len();
         // The frame that starts the map is never held out.
-        estimate.held_out = self.holds_out(position) && !self.mapper.is_empty();
+        estimate.held_out = self.holds_out(position, frame.index) && !self.mapper.is_empty();
         let maps = usable && (estimate.tracked || starts_map) && !estimate.held_out;
         self.state.frames.push(estimate);
         self.warn_if_map_emptied(frame.index);
