@@ -232,6 +232,8 @@ pub(super) fn new_session(
     let mut config = options.config.clone();
     if kind.stage == Stage::Frames && config.tracking.method == TrackingMethod::SecondOrder {
         config.parameters = Parameters::tracked();
+        // Alignment to the map from its second frame on wants what balls give: one Gaussian a pixel.
+        config.map.isotropic = true;
     }
     let mut session = (kind.session)(config, camera, frame_rate);
     session.set_cancellation(context.cancellation.clone());

@@ -1,5 +1,7 @@
 //! Densification and pruning of Gaussians (SplaTAM's rules).
 
+use super::flat_gaussians::SQUARE_DEVIATION;
+use super::quadtree::MAX_SIZE;
 use crate::config::GaussianParameters;
 use crate::keyframes::project_rolling;
 use crate::objective::Observation;
@@ -70,10 +72,28 @@ fn median_depth_error(observation: &Observation, errors: &[f32]) -> f32 {
     median(&mut counted).unwrap_or(0.0)
 }
 
+/// Standard deviation above which a Gaussian is removed [m], of a scene whose first frame has such a
+/// largest depth [m]. A square of pixels that faces the camera there is not too large: in pictures of
+/// less than 150 px it exceeds SplaTAM's bound.
+pub(super) fn max_scale(
+    shape: Shape,
+    parameters: &GaussianParameters,
+    camera: &Camera<f64>,
+    largest_depth: f32,
+) -> f32 {
+    let of_scene = MAX_SCALE * (largest_depth / parameters.scene_radius_ratio);
+    let focal = 0.5 * (camera.fx + camera.fy) as f32;
+    let square = SQUARE_DEVIATION as f32 * MAX_SIZE as f32 * largest_depth / focal;
+    match shape {
+        Shape::Isotropic => of_scene,
+        Shape::Anisotropic => of_scene.max(square),
+    }
+}
+
 /// Removes Gaussians nearly transparent, too large or not finite; returns the mask of the rest.
-pub(super) fn prune(map: &mut GaussianMap, scene_radius: f32) -> Vec<bool> {
+pub(super) fn prune(map: &mut GaussianMap, max_scale: f32) -> Vec<bool> {
     let min_logit = logit(MIN_OPACITY);
-    let max_log_scale = (MAX_SCALE * scene_radius).ln();
+    let max_log_scale = max_scale.ln();
     let keep: Vec<bool> = (0..map.len())
         .map(|i| {
             let scale = map.log_scales[i].iter().copied().fold(f32::NEG_INFINITY, f32::max);

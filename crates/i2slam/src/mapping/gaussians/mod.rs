@@ -20,7 +20,7 @@ use crate::objective::{FrameObjective, Observation};
 use crate::reconstruction::Map;
 use crate::tracking::{TrackingContext, TrackingResult, sampling};
 use anchors::Anchors;
-use density_control::{SourceFrame, prune, push_balls, unexplained_pixels};
+use density_control::{SourceFrame, max_scale, prune, push_balls, unexplained_pixels};
 use flat_gaussians::{push_flat_gaussians, quadtree};
 use i2slam_formation::{CameraResponse, CentreVelocity, Formation, ResponseCurve, TrajectoryScale};
 use i2slam_geometry::{Camera, Image, Pose};
@@ -46,8 +46,8 @@ pub(crate) struct GaussianMapper {
     optimizer: GaussianOptimizer,
     anchors: Anchors,
     scale_bounds: ScaleBounds,
-    /// Largest depth of the first frame over the preset's ratio [m].
-    scene_radius: f32,
+    /// Standard deviation above which a Gaussian is removed [m].
+    max_scale: f32,
     /// Whether the warning of a full map was given.
     is_full: bool,
 }
@@ -75,7 +75,7 @@ impl GaussianMapper {
             optimizer: GaussianOptimizer::new(),
             anchors: Anchors::default(),
             scale_bounds: ScaleBounds::default(),
-            scene_radius: f32::INFINITY,
+            max_scale: f32::INFINITY,
             is_full: false,
         }
     }
@@ -91,7 +91,7 @@ impl GaussianMapper {
     }
 
     fn prune(&mut self) {
-        let keep = prune(&mut self.current.map, self.scene_radius);
+        let keep = prune(&mut self.current.map, self.max_scale);
         if keep.contains(&false) {
             self.retain(&keep);
         }
@@ -210,7 +210,8 @@ impl Mapper for GaussianMapper {
             Some(render) => unexplained_pixels(self.current.map.shape, &source, render),
             None => {
                 let farthest = observation.depth.data.iter().copied().fold(0.0, f32::max);
-                self.scene_radius = farthest / parameters.scene_radius_ratio;
+                self.max_scale =
+                    max_scale(self.current.map.shape, parameters, context.camera, farthest);
                 vec![true; observation.depth.data.len()]
             }
         };

@@ -13,7 +13,7 @@ use i2slam_compute::median;
 use i2slam_geometry::{Camera, Image, Vec3};
 
 /// Edge of the largest square [px].
-const MAX_SIZE: usize = 8;
+pub(super) const MAX_SIZE: usize = 8;
 /// Edge of the squares over which the noise of depth is read off [px].
 const NOISE_SIZE: usize = 8;
 /// Deviations from an affine patch that count as noise, in standard deviations: of colour, and of
