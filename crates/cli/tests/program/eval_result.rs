@@ -50,9 +50,9 @@ fn frames_that_are_held_out_are_tracked_and_never_mapped() {
 fn a_list_names_the_frames_that_are_held_out() {
     let room = Room::with_sharp("held-out-list");
     let list = room.scratch.join("test-views.txt");
-    let third = fs::read_to_string(room.data.join("rgb.txt")).expect("pictures");
-    let third = third.lines().filter(|line| !line.starts_with('#')).nth(3).expect("a picture");
-    let name = third.split_whitespace().nth(1).expect("its file");
+    let fourth = fs::read_to_string(room.data.join("rgb.txt")).expect("pictures");
+    let fourth = fourth.lines().filter(|line| !line.starts_with('#')).nth(3).expect("a picture");
+    let name = fourth.split_whitespace().nth(1).expect("its file");
     fs::write(&list, format!("# two views\n1\n{name}\n")).expect("room");
     let flags = ["--hold-out", list.to_str().expect("a name"), "--render", "none"];
     room.run(&flags).exits_with(0);

@@ -312,14 +312,14 @@ pub enum TrackingMethod {
 }
 
 impl MappingConfig {
-    /// Whether the frame or keyframe of this index that comes `number`-th is held out; the first, 0,
+    /// True if the frame or keyframe of this index that comes `number`-th is held out; the first, 0,
     /// only where it is named.
     pub(crate) fn holds_out(&self, number: usize, index: usize) -> bool {
         let is_due = self.hold_out > 0 && number > 0 && number.is_multiple_of(self.hold_out);
         is_due || self.hold_out_frames.contains(&index)
     }
 
-    /// Whether no frame is held out.
+    /// True if no frame is held out.
     pub fn maps_all(&self) -> bool {
         self.hold_out == 0 && self.hold_out_frames.is_empty()
     }

@@ -232,7 +232,7 @@ pub(super) fn new_session(
     let mut config = options.config.clone();
     if kind.stage == Stage::Frames && config.tracking.method == TrackingMethod::SecondOrder {
         config.parameters = Parameters::tracked();
-        // Alignment to the map from its second frame on wants what balls give: one Gaussian a pixel.
+        // Flat Gaussians lost frames of small pictures after few steps; larger ones were not tried.
         config.map.isotropic = true;
     }
     let mut session = (kind.session)(config, camera, frame_rate);

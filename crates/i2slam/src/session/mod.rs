@@ -140,7 +140,7 @@ impl Session {
         &self.state.frames
     }
 
-    /// Whether the `number`-th frame or keyframe, from 0, of some index is held out
+    /// True if the `number`-th frame or keyframe, from 0, of this index is held out
     /// (`mapping.hold_out`, `mapping.hold_out_frames`).
     pub fn holds_out(&self, number: usize, index: usize) -> bool {
         self.config.mapping.holds_out(number, index)
