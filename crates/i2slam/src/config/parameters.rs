@@ -69,6 +69,8 @@ pub struct GaussianParameters {
     pub colour_rate: f32,
     /// Learning rate of log scales.
     pub scale_rate: f32,
+    /// Learning rate of the quaternions of flat Gaussians.
+    pub rotation_rate: f32,
     /// Largest depth of the first frame over the scene's radius.
     pub scene_radius_ratio: f32,
     /// Step only the Gaussians that a keyframe shows, each with its own count of steps.
@@ -164,6 +166,7 @@ const PAPER: Parameters = Parameters {
         mean_rate: 1e-4,      // SplaTAM
         colour_rate: 2.5e-3,  // SplaTAM
         scale_rate: 1e-3,     // SplaTAM
+        rotation_rate: 1e-3,  // SplaTAM
         scene_radius_ratio: 3.0,
         selective_adam: false,
         reset_adam: true,
@@ -267,6 +270,13 @@ const DEFAULT_RGB: Parameters = Parameters {
         ..DEFAULT.frames
     },
     tracking: TrackingParameters { keyframe_depth: false, ..DEFAULT.tracking },
+    // Few steps: faster ones come nearer to the optimum.
+    gaussians: GaussianParameters {
+        colour_rate: 3e-2,
+        scale_rate: 1.5e-2,
+        rotation_rate: 1e-2,
+        ..DEFAULT.gaussians
+    },
     field: FieldParameters {
         levels: 8,
         hidden_width: 32,
@@ -294,7 +304,6 @@ const DEFAULT_RGB: Parameters = Parameters {
         surface_searches: 2,
         ..PAPER.keyframed
     },
-    ..DEFAULT
 };
 
 impl Default for Parameters {

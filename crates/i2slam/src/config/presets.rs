@@ -112,10 +112,10 @@ fn ours() -> Config {
             ..paper.tracking
         },
         mapping: MappingConfig {
-            iterations: 8,
+            iterations: 15,
             first_iterations: 60,
-            final_iterations: 200,
-            window: 8,
+            final_iterations: 400,
+            window: 10,
             keyframe_interval: 4,
             keyframe_motion: 0.004,
             fill_depth: true,
@@ -250,9 +250,6 @@ fn default_rgb() -> Config {
     };
     config.keyframed.preconditioning = Preconditioning::Pose;
     config.keyframed.refine_imported = true;
-    config.mapping.window = 10;
-    config.mapping.iterations = 30;
-    config.mapping.final_iterations = 400;
     config
 }
 

@@ -2,7 +2,9 @@
 
 use super::keyframe::Keyframe;
 use crate::config::Config;
+use crate::objective::{Exposure, Observation};
 use crate::reconstruction::FrameEstimate;
+use crate::tracking::sampling;
 use crate::warning::Warning;
 use i2slam_compute::{CancellationToken, Random};
 use i2slam_formation::{CameraResponse, ResponseCurve};
@@ -32,6 +34,22 @@ impl MappingContext<'_> {
     /// The first mapped frame: its pose and tone stay fixed.
     pub(crate) fn gauge_frame(&self, current: &Keyframe) -> usize {
         self.keyframes.first().map_or(current.frame, |k| k.frame)
+    }
+
+    pub(super) fn is_keyframe(&self, frame: usize) -> bool {
+        self.keyframes.iter().any(|keyframe| keyframe.frame == frame)
+    }
+
+    /// Motion of a frame while its shutter is open, with the sampling that its picture asks for.
+    pub(super) fn exposure(&self, frame: usize, observation: &Observation) -> Exposure {
+        let estimate = &self.frames[frame];
+        let exposed = (estimate.shutter, estimate.readout);
+        Exposure {
+            shutter: estimate.shutter,
+            sampling: sampling(&self.config.formation, self.camera, exposed, observation),
+            readout: estimate.readout,
+            depth_pose: estimate.depth_is_apart().then(|| estimate.depth_pose()),
+        }
     }
 
     /// Response curves of `views` by response index; none with `tone` off.

@@ -8,7 +8,6 @@
 //! Estimated depth is also missing in large parts, on smooth surfaces or after pure rotation: far
 //! from any reading it is interpolated smoothly.
 
-use crate::config::MappingConfig;
 use crate::objective::Observation;
 use i2slam_geometry::Image;
 use i2slam_radiance::Render;
@@ -22,15 +21,15 @@ const BACKGROUND_DEPTH: f32 = 1.25;
 /// Least rendered opacity of a pixel at which the map has a surface.
 pub(crate) const MIN_SURFACE_OPACITY: f32 = 0.9;
 
-/// Depth at which a frame extends the map [m]: observed, inpainted if `settings.fill_depth` (for
-/// estimated depth from the surfaces in `render` first), and 0 where nothing was recorded.
+/// Depth at which a frame extends the map [m]: observed, inpainted if `is_filled` (for estimated depth
+/// from the surfaces in `render` first), and 0 where nothing was recorded.
 pub(super) fn placement_depth(
     observation: &Observation,
-    settings: &MappingConfig,
+    is_filled: bool,
     valid_mask: Option<&Image<bool>>,
     render: Option<&Render>,
 ) -> Arc<Image<f32>> {
-    let mut depth = match (settings.fill_depth, observation.is_estimated()) {
+    let mut depth = match (is_filled, observation.is_estimated()) {
         (true, true) => {
             let surfaces = render.map(|r| r.surface(MIN_SURFACE_OPACITY));
             Arc::new(inpaint_estimated(&observation.depth, surfaces.as_ref()))

@@ -22,11 +22,10 @@ use super::keyframe::{Keyframe, observations};
 use super::mapper::{ComparedMap, FinalRefinement, Growth, Mapper};
 use super::window::{random_pixels, recent_window};
 use crate::objective::{
-    Evaluation, Exposure, FrameObjective, FrameVariables, Observation, PixelBatch, RayObjective,
-    Sampling,
+    Evaluation, FrameObjective, FrameVariables, Observation, PixelBatch, RayObjective,
 };
 use crate::reconstruction::Map;
-use crate::tracking::{TrackingContext, TrackingResult, sampling};
+use crate::tracking::{TrackingContext, TrackingResult};
 use crate::warning::Warning;
 use i2slam_formation::{CameraResponse, Formation, ResponseCurve, TrajectoryScale};
 use i2slam_geometry::{Camera, Image, Pose};
@@ -132,7 +131,7 @@ impl FieldMapper {
         for keyframe in context.keyframes {
             let depth = placement_depth(
                 &keyframe.observation.get(),
-                &context.config.mapping,
+                context.config.mapping.fill_depth,
                 context.valid_mask,
                 None,
             );
@@ -239,18 +238,10 @@ fn sample_rays<'a>(
     rays: usize,
 ) -> PixelBatch<'a> {
     let estimate = &context.frames[keyframe.frame];
-    let formation = &context.config.formation;
-    let exposure = (estimate.shutter, estimate.readout);
-    let sampling = sampling(formation, context.camera, exposure, observation);
+    let mut exposure = context.exposure(keyframe.frame, observation);
     // Every virtual camera costs a render per ray: no more of them than configured.
-    let virtual_cameras = sampling.virtual_cameras.min(formation.virtual_cameras);
-    let sampling = Sampling { virtual_cameras, ..sampling };
-    let exposure = Exposure {
-        shutter: estimate.shutter,
-        sampling,
-        readout: estimate.readout,
-        depth_pose: estimate.depth_is_apart().then(|| estimate.depth_pose()),
-    };
+    let cameras = &mut exposure.sampling.virtual_cameras;
+    *cameras = (*cameras).min(context.config.formation.virtual_cameras);
     let curve = curves.get(&estimate.response);
     let tone = curve.map(|curve| Formation { tone: estimate.tone, curve });
     let variables = FrameVariables { exposure, tone };
@@ -294,7 +285,7 @@ impl Mapper for FieldMapper {
     ) -> Result<Growth, SettingsError> {
         let depth = placement_depth(
             &current.observation.get(),
-            &context.config.mapping,
+            context.config.mapping.fill_depth,
             context.valid_mask,
             None,
         );

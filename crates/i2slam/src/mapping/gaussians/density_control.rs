@@ -1,7 +1,7 @@
 //! Densification and pruning of Gaussians (SplaTAM's rules).
 
-use super::flat_gaussians::SQUARE_DEVIATION;
-use super::quadtree::MAX_SIZE;
+use super::flat_gaussians::EDGE_DEVIATION;
+use super::partition::MAX_SIZE;
 use crate::config::GaussianParameters;
 use crate::keyframes::project_rolling;
 use crate::objective::Observation;
@@ -83,7 +83,7 @@ pub(super) fn max_scale(
 ) -> f32 {
     let of_scene = MAX_SCALE * (largest_depth / parameters.scene_radius_ratio);
     let focal = 0.5 * (camera.fx + camera.fy) as f32;
-    let square = SQUARE_DEVIATION as f32 * MAX_SIZE as f32 * largest_depth / focal;
+    let square = EDGE_DEVIATION as f32 * MAX_SIZE as f32 * largest_depth / focal;
     match shape {
         Shape::Isotropic => of_scene,
         Shape::Anisotropic => of_scene.max(square),

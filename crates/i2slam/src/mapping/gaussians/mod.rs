@@ -5,7 +5,7 @@ mod density_control;
 mod flat_gaussians;
 mod merge;
 mod optimizer;
-mod quadtree;
+mod partition;
 mod scale_bounds;
 mod splitting;
 
@@ -16,12 +16,12 @@ use super::keyframe::Keyframe;
 use super::mapper::{ComparedMap, FinalRefinement, Growth, Mapper};
 use super::window::overlapping_window;
 use crate::config::Config;
-use crate::objective::{FrameObjective, Observation};
+use crate::objective::{FrameObjective, FrameVariables, Observation};
 use crate::reconstruction::Map;
-use crate::tracking::{TrackingContext, TrackingResult, sampling};
+use crate::tracking::{TrackingContext, TrackingResult};
 use anchors::Anchors;
 use density_control::{SourceFrame, max_scale, prune, push_balls, unexplained_pixels};
-use flat_gaussians::{push_flat_gaussians, quadtree};
+use flat_gaussians::{partition, push_flat_gaussians};
 use i2slam_formation::{CameraResponse, CentreVelocity, Formation, ResponseCurve, TrajectoryScale};
 use i2slam_geometry::{Camera, Image, Pose};
 use i2slam_radiance::Render;
@@ -81,12 +81,8 @@ impl GaussianMapper {
     }
 
     fn step(&mut self, context: &mut MappingContext<'_>, keyframe: &Keyframe) {
-        let estimate = &context.frames[keyframe.frame];
-        let exposure = (estimate.shutter, estimate.readout);
-        let formation = &context.config.formation;
         let observation = keyframe.observation.get();
-        let sampling = sampling(formation, context.camera, exposure, &observation);
-        self.optimizer.step(context, &mut self.current, (keyframe, &observation), sampling);
+        self.optimizer.step(context, &mut self.current, (keyframe, &observation));
         self.scale_bounds.clamp(&mut self.current.map);
     }
 
@@ -110,13 +106,31 @@ impl GaussianMapper {
         self.current.objective.render(&self.current.map, pose).clone()
     }
 
-    /// Splits flat Gaussians that are larger than a keyframe asks for.
+    /// The picture of a keyframe as the map predicts it.
+    fn predict(
+        &mut self,
+        context: &MappingContext<'_>,
+        (keyframe, observation): (&Keyframe, &Observation),
+        curve: Option<&ResponseCurve<f32>>,
+    ) -> Image<f32> {
+        let tone = context.frames[keyframe.frame].tone;
+        let variables = FrameVariables {
+            exposure: context.exposure(keyframe.frame, observation),
+            tone: curve.map(|curve| Formation { tone, curve }),
+        };
+        let ComparedMap { map, objective } = &mut self.current;
+        objective.predict(map, &variables).clone()
+    }
+
+    /// Splits flat Gaussians that are larger than a keyframe asks for where it is not predicted.
     fn split(&mut self, context: &MappingContext<'_>, keyframe: &Keyframe) {
         let render = self.render_at_depth(context, keyframe);
         let (observation, curve) = (keyframe.observation.get(), response_curve(context, keyframe));
+        let prediction = self.predict(context, (keyframe, &observation), curve.as_ref());
         let source = source_frame(context, keyframe, &observation, curve.as_ref(), Some(&render));
         let (map, bounds) = (&mut self.current.map, &mut self.scale_bounds);
-        let origins = split_gaussians(map, bounds, &source, &render, &quadtree(&source));
+        let views = (&render, &prediction);
+        let origins = split_gaussians(map, bounds, &source, views, &partition(&source));
         self.anchors.inherit(&origins);
     }
 
@@ -156,7 +170,8 @@ fn source_frame<'a>(
     render: Option<&Render>,
 ) -> SourceFrame<'a> {
     let estimate = &context.frames[keyframe.frame];
-    let mapping = &context.config.mapping;
+    // A surface without a reading may have one in the next frames: keyframes alone guess it.
+    let is_filled = context.config.mapping.fill_depth && context.is_keyframe(keyframe.frame);
     SourceFrame {
         camera: context.camera,
         world_from_depth: estimate.depth_pose(),
@@ -164,7 +179,7 @@ fn source_frame<'a>(
         velocity: CentreVelocity::from(estimate.shutter).velocity,
         readout: estimate.readout,
         observation,
-        depth: placement_depth(observation, mapping, context.valid_mask, render),
+        depth: placement_depth(observation, is_filled, context.valid_mask, render),
         tone: curve.map(|curve| Formation { tone: estimate.tone, curve }),
     }
 }
@@ -219,13 +234,9 @@ impl Mapper for GaussianMapper {
         match map.shape {
             Shape::Isotropic => push_balls(map, parameters, &source, &wanted),
             Shape::Anisotropic => {
-                let (tree, bounds) = (quadtree(&source), &mut self.scale_bounds);
-                // Other frames share the detail of keyframes, and would split before steps explain it.
-                let is_keyframe = context.keyframes.iter().any(|k| k.frame == current.frame);
-                if let Some(render) = render.as_ref().filter(|_| is_keyframe) {
-                    self.anchors.inherit(&split_gaussians(map, bounds, &source, render, &tree));
-                }
-                push_flat_gaussians(map, bounds, parameters, &source, &tree.squares(&wanted));
+                let (rectangles, bounds) =
+                    (partition(&source).rectangles(&wanted), &mut self.scale_bounds);
+                push_flat_gaussians(map, bounds, parameters, &source, &rectangles);
             }
         }
         self.anchors.extend_to(self.current.map.len(), context.frames[current.frame].index);

@@ -5,7 +5,7 @@ use crate::mapping::context::MappingContext;
 use crate::mapping::frame_optimizer::{FrameOptimizers, adam};
 use crate::mapping::keyframe::Keyframe;
 use crate::mapping::mapper::ComparedMap;
-use crate::objective::{Exposure, FrameVariables, Observation, Sampling};
+use crate::objective::{FrameVariables, Observation};
 use i2slam_compute::Adam;
 use i2slam_formation::Formation;
 use i2slam_radiance::gaussian::{GaussianMap, MapGradient, Shape};
@@ -17,8 +17,6 @@ const IMAGE_WEIGHT: f32 = 0.5;
 const SSIM_SHARE: f32 = 0.2;
 /// Learning rate of opacity logits (SplaTAM).
 const OPACITY_RATE: f32 = 0.05;
-/// Learning rate of the quaternions of anisotropic Gaussians (SplaTAM).
-const ROTATION_RATE: f32 = 1e-3;
 
 /// Optimiser state of map, response and keyframes.
 pub(crate) struct GaussianOptimizer {
@@ -78,19 +76,13 @@ impl GaussianOptimizer {
         context: &mut MappingContext<'_>,
         target: &mut ComparedMap<GaussianMap>,
         (keyframe, observation): (&Keyframe, &Observation),
-        sampling: Sampling,
     ) {
         let ComparedMap { map, objective } = target;
         let config = context.config;
         let estimate = &context.frames[keyframe.frame];
         let curve = config.formation.tone.then(|| context.responses[estimate.response].curve());
         let variables = FrameVariables {
-            exposure: Exposure {
-                shutter: estimate.shutter,
-                sampling,
-                readout: estimate.readout,
-                depth_pose: estimate.depth_is_apart().then(|| estimate.depth_pose()),
-            },
+            exposure: context.exposure(keyframe.frame, observation),
             tone: curve.as_ref().map(|curve| Formation { tone: estimate.tone, curve }),
         };
         self.gradient.reset(map.len());
@@ -138,7 +130,7 @@ impl GaussianOptimizer {
             Shape::Anisotropic => self.rotations.step_elements(
                 map.rotations.as_flattened_mut(),
                 gradient.rotations.as_flattened(),
-                ROTATION_RATE,
+                rates.rotation_rate,
                 4,
                 step_counts,
             ),

@@ -1,18 +1,20 @@
 //! Splitting of Gaussians that are larger than the detail a picture shows where the map is wrong.
 //!
-//! A pixel is wrong where its prediction is off by more than noise, and by more than a shift by half a
-//! pixel explains: poses err by that much. There the [squares](super::quadtree) of the picture tell how
-//! small Gaussians should be; a blurred picture has large squares and asks for little.
+//! A pixel is wrong where its prediction, blur and tone included, is off by more than noise, and by more
+//! than a shift by half a pixel explains: poses err by that much. There the
+//! [rectangles](super::partition) of the picture tell how small Gaussians should be; a blurred picture
+//! has large ones and asks for little.
 
 use super::density_control::{SourceFrame, radiance_of_point};
-use super::flat_gaussians::SQUARE_DEVIATION;
-use super::quadtree::Quadtree;
+use super::flat_gaussians::EDGE_DEVIATION;
+use super::partition::Partition;
 use super::scale_bounds::ScaleBounds;
-use i2slam_geometry::{Camera, Mat3, Pose, Rotation, Vec3};
+use crate::keyframes::project_rolling;
+use i2slam_geometry::{Camera, Image, Mat3, Pose, Rotation, Vec3};
 use i2slam_radiance::Render;
 use i2slam_radiance::gaussian::GaussianMap;
 
-/// Prediction error above which a pixel is wrong, in deviations up to which a square counts as plain.
+/// Prediction error above which a pixel is wrong, in deviations up to which a rectangle counts as plain.
 const MAX_ERROR: f32 = 4.0;
 /// Shift of the picture that explains an error [px].
 const MAX_SHIFT: f32 = 0.5;
@@ -29,7 +31,7 @@ const MAX_GENERATIONS: usize = 4;
 /// Levels of [`Demand`].
 const LEVELS: usize = 4;
 
-/// Edge of the squares that a picture asks for, where it is not predicted.
+/// Shorter edge of the rectangles that a picture asks for, where it is not predicted.
 struct Demand {
     width: usize,
     /// For blocks of 1, 2, 4 and 8 pixels: the smallest edge asked for within [px].
@@ -40,10 +42,10 @@ struct Demand {
 const NOTHING: u8 = u8::MAX;
 
 impl Demand {
-    fn new(source: &SourceFrame<'_>, render: &Render, tree: &Quadtree<'_>) -> Self {
-        let (width, height) = (source.camera.width, source.camera.height);
-        let mut finest = tree.sizes();
-        let is_wrong = wrong_pixels(source, render, MAX_ERROR * tree.max_detail());
+    fn new(colour: &Image<f32>, prediction: &Image<f32>, partition: &Partition<'_>) -> Self {
+        let (width, height) = (colour.width, colour.height);
+        let mut finest = partition.sizes();
+        let is_wrong = wrong_pixels(colour, prediction, MAX_ERROR * partition.max_detail());
         let right = finest.iter_mut().zip(is_wrong).filter(|(_, is_wrong)| !is_wrong);
         right.for_each(|(size, _)| *size = NOTHING);
         let mut size = [width, height];
@@ -76,39 +78,33 @@ fn halved(fine: &[u8], [width, height]: [usize; 2]) -> Vec<u8> {
 }
 
 /// Pixels whose prediction is off by more than `limit` and what a small shift explains.
-fn wrong_pixels(source: &SourceFrame<'_>, render: &Render, limit: f32) -> Vec<bool> {
-    let colour = &source.observation.colour;
+fn wrong_pixels(colour: &Image<f32>, prediction: &Image<f32>, limit: f32) -> Vec<bool> {
     let (width, height) = (colour.width, colour.height);
-    let gains = source.tone.as_ref().map(|tone| tone.tone.gains());
     let is_wrong = |pixel: usize, c: usize| {
-        let radiance = render.radiance.plane(c)[pixel];
-        let predicted = match (&source.tone, &gains) {
-            (Some(tone), Some(gains)) => tone.curve.evaluate(c, gains[c] * radiance),
-            _ => radiance,
-        };
         let (x, y, plane) = (pixel % width, pixel / width, colour.plane(c));
         let along =
             plane[y * width + (x + 1).min(width - 1)] - plane[y * width + x.saturating_sub(1)];
         let down =
             plane[(y + 1).min(height - 1) * width + x] - plane[y.saturating_sub(1) * width + x];
         let slope = 0.5 * along.hypot(down);
-        (predicted - plane[pixel]).abs() > limit + MAX_SHIFT * slope
+        (prediction.plane(c)[pixel] - plane[pixel]).abs() > limit + MAX_SHIFT * slope
     };
     (0..width * height).map(|pixel| (0..3).any(|c| is_wrong(pixel, c))).collect()
 }
 
-/// Splits the Gaussians on the rendered surface that are larger than the picture asks for, and lowers the
-/// least size of those that are seen from nearer than before. Returns the index of the one that each
+/// Splits the Gaussians on the rendered surface that are larger than the picture asks for where it
+/// differs from its prediction, and lowers the least size of those that are seen from nearer than
+/// before. Returns the index of the one that each
 /// appended Gaussian came from.
 pub(super) fn split_gaussians(
     map: &mut GaussianMap,
     bounds: &mut ScaleBounds,
     source: &SourceFrame<'_>,
-    render: &Render,
-    tree: &Quadtree<'_>,
+    (render, prediction): (&Render, &Image<f32>),
+    partition: &Partition<'_>,
 ) -> Vec<usize> {
     let splitter = Splitter {
-        demand: Demand::new(source, render, tree),
+        demand: Demand::new(&source.observation.colour, prediction, partition),
         source,
         render,
         camera_from_world: source.world_from_depth.inverse(),
@@ -116,7 +112,7 @@ pub(super) fn split_gaussians(
     let mut origins = Vec::new();
     for origin in 0..map.len() {
         let Some(seen) = splitter.seen(map, origin) else { continue };
-        bounds.see(origin, seen.point.z as f32 / source.camera.fx as f32);
+        bounds.see(origin, seen.z as f32 / source.camera.fx as f32);
         let mut waiting = vec![(origin, 0)];
         while let Some((index, generation)) = waiting.pop() {
             if let Some(axis) = splitter.axis_to_split(map, index) {
@@ -139,32 +135,34 @@ struct Splitter<'a> {
     camera_from_world: Pose<f64>,
 }
 
-/// Where a Gaussian is seen: its centre in the camera [m], and its pixel.
-struct Seen {
-    point: Vec3<f64>,
-    pixel: [usize; 2],
-}
-
 impl Splitter<'_> {
-    /// A Gaussian on the rendered surface.
-    fn seen(&self, map: &GaussianMap, index: usize) -> Option<Seen> {
+    /// Centre of a Gaussian on the rendered surface, in the camera when the depth picture was taken [m].
+    fn seen(&self, map: &GaussianMap, index: usize) -> Option<Vec3<f64>> {
         let camera = self.source.camera;
         let point = self.camera_from_world * Vec3::from_array(map.means[index]).cast::<f64>();
-        let pixel = pixel_of(camera, point)?;
-        let at = pixel[1] * camera.width + pixel[0];
+        let [column, row] = (point.z > 0.0).then(|| pixel_at(camera, camera.project(point)))??;
+        let at = row * camera.width + column;
         let surface = self.render.depth.data[at] / self.render.opacity.data[at];
         let z = point.z as f32;
-        ((z - surface).abs() <= MAX_DEPTH_DIFFERENCE * z).then_some(Seen { point, pixel })
+        ((z - surface).abs() <= MAX_DEPTH_DIFFERENCE * z).then_some(point)
     }
 
     /// The axis of a Gaussian that is longest in the picture, if it is seen and too long.
     fn axis_to_split(&self, map: &GaussianMap, index: usize) -> Option<usize> {
-        let Seen { point, pixel } = self.seen(map, index)?;
+        let point = self.seen(map, index)?;
+        let pixel = self.colour_pixel(point)?;
         let lengths = self.lengths(map, index, point);
         let axis = (0..3).max_by(|&a, &b| lengths[a].total_cmp(&lengths[b]))?;
         let deviation = lengths[axis];
-        let wanted = SQUARE_DEVIATION as f32 * self.demand.at(pixel, 2.0 * deviation)?;
+        let wanted = EDGE_DEVIATION as f32 * self.demand.at(pixel, 2.0 * deviation)?;
         (deviation >= MAX_SIZE_RATIO * wanted).then_some(axis)
+    }
+
+    /// The pixel of the colour picture that shows a point at mid-exposure.
+    fn colour_pixel(&self, point: Vec3<f64>) -> Option<[usize; 2]> {
+        let (source, camera) = (self.source, self.source.camera);
+        let point = source.colour_from_depth * point;
+        pixel_at(camera, project_rolling(camera, source.velocity, source.readout, point)?)
     }
 
     /// Standard deviations along the axes of a Gaussian at a point of the camera, in the picture [px].
@@ -208,12 +206,8 @@ fn axes(rotation: [f32; 4]) -> Mat3<f64> {
     Rotation::from_wxyz(w, x, y, z).unwrap_or_else(Rotation::identity).matrix()
 }
 
-/// Column and row of the pixel that shows a point, if it lies before the camera and in the picture.
-fn pixel_of(camera: &Camera<f64>, point: Vec3<f64>) -> Option<[usize; 2]> {
-    if point.z <= 0.0 {
-        return None;
-    }
-    let (u, v) = camera.project(point);
+/// Column and row of the pixel at an image position, if it lies in the picture.
+fn pixel_at(camera: &Camera<f64>, (u, v): (f64, f64)) -> Option<[usize; 2]> {
     let (column, row) = (u as usize, v as usize);
     let is_inside = camera.contains(u, v, 0.0) && column < camera.width && row < camera.height;
     is_inside.then_some([column, row])
@@ -244,7 +238,7 @@ mod tests {
         let pixel = DEPTH / 32.0;
         for place in 0..16 {
             let at = [place % 4, place / 4].map(|k| (8.0 * k as f32 + 4.0 - 16.0) * pixel);
-            let deviation = SQUARE_DEVIATION as f32 * 8.0 * pixel;
+            let deviation = EDGE_DEVIATION as f32 * 8.0 * pixel;
             map.push(Gaussian {
                 mean: [at[0], at[1], DEPTH],
                 log_scale: [deviation, deviation, 0.1 * deviation].map(f32::ln),
@@ -282,8 +276,14 @@ mod tests {
             depth: Arc::new(depth),
             tone: None,
         };
-        let tree = super::super::flat_gaussians::quadtree(&source);
-        let origins = split_gaussians(&mut map, &mut bounds, &source, &render, &tree);
+        let partition = super::super::flat_gaussians::partition(&source);
+        let origins = split_gaussians(
+            &mut map,
+            &mut bounds,
+            &source,
+            (&render, &render.radiance),
+            &partition,
+        );
         (map, origins)
     }
 
