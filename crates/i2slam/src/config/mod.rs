@@ -242,7 +242,8 @@ section! {
         keyframe_motion: f32,
         /// λ_depth of Gaussians, a mean over pixels; λ_img is 0.5. SplaTAM: 1.
         depth_weight: f32,
-        /// Place Gaussians also where the sensor has no depth, at inpainted depth. SplaTAM: off.
+        /// Keyframes place Gaussians also where the sensor has no depth, at inpainted depth. SplaTAM:
+        /// off.
         fill_depth: bool,
     }
 }
