@@ -251,6 +251,10 @@ fn streams_that_cannot_be_used_are_told_and_leave_nothing() {
     footage.i2slam("info", address, &[]).exits_with(1).stderr_contains("record it first");
     let files = ["--rgb", "--keyframes", "poses.txt"];
     footage.run(address, &files).exits_with(2).stderr_contains("goes with a file or a folder");
+    let list = footage.scratch.join("list.txt");
+    fs::write(&list, "3\n").expect("room");
+    let list = ["--hold-out", list.to_str().expect("UTF-8")];
+    footage.run(address, &list).exits_with(2).stderr_contains("frames are not known yet");
     // What lies in the way is said before a stream is read that may have no end.
     fs::write(flow.with_extension("endless"), "").expect("room");
     let out = footage.scratch.join("out");
