@@ -172,8 +172,7 @@ impl<'a> Partition<'a> {
                 }
             }
             if edges[0] == edges[1] {
-                let [across, down] =
-                    [0, 1].map(|axis| self.rest_of_halves([column, row], edges, axis));
+                let [across, down] = [0, 1].map(|axis| self.cut_cost([column, row], edges, axis));
                 axis = usize::from(down < across);
             }
         }
@@ -186,20 +185,20 @@ impl<'a> Partition<'a> {
         }
     }
 
-    /// What is not affine in both halves of a rectangle that is divided along an axis, over what does
-    /// not count.
-    fn rest_of_halves(&self, at: [usize; 2], edges: [usize; 2], axis: usize) -> f32 {
+    /// Cost of a cut along an axis: squared deviations of colour and inverse depth from affine fits over
+    /// both halves, each over its tolerance.
+    fn cut_cost(&self, at: [usize; 2], edges: [usize; 2], axis: usize) -> f32 {
         let (mut half, mut second) = (edges, at);
         half[axis] /= 2;
         second[axis] += half[axis];
-        let rest = |at| {
+        let cost = |at| {
             let colours = (0..3).map(|c| self.fit(self.colour.plane(c), at, half).deviation);
             let depth = self.fit(&self.inverse_depth, at, half);
             let relief = self.max_relief(depth.value, edges);
             let colours: f32 = colours.map(|d| (d / self.max_detail).powi(2)).sum();
             colours + (depth.deviation / relief).powi(2)
         };
-        rest(at) + rest(second)
+        cost(at) + cost(second)
     }
 
     /// Deviation of inverse depth that does not count over a rectangle.
@@ -235,7 +234,7 @@ impl<'a> Partition<'a> {
         (difference - slope[axis]).abs() * std::f32::consts::FRAC_1_SQRT_2
     }
 
-    /// Whether colour is affine over a rectangle.
+    /// Tells if colour is affine over a rectangle.
     fn is_plain(&self, at: [usize; 2], edges: [usize; 2]) -> bool {
         (0..3).all(|c| self.fit(self.colour.plane(c), at, edges).deviation <= self.max_detail)
     }
