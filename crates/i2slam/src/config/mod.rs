@@ -149,8 +149,8 @@ section! {
         /// `gaussian`: 3D Gaussians, or `hashgrid`: a radiance field in a multi-resolution hash
         /// grid.
         kind: MapKind,
-        /// One standard deviation per Gaussian, as SplaTAM. Off: flat Gaussians, each for a square
-        /// of pixels over which colour and surface are plain, split where the map is wrong. With
+        /// One standard deviation per Gaussian, as SplaTAM. Off: flat Gaussians, each for a
+        /// rectangle of pixels over which colour and surface are plain, split where the map is wrong. With
         /// `tracking.method` `second-order` frames that are tracked against the map have balls.
         isotropic: bool,
         /// Largest number of Gaussians; a full map merges similar neighbours.

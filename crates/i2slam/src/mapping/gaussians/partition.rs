@@ -93,11 +93,13 @@ impl<'a> Partition<'a> {
     pub(super) fn new(colour: &'a Image<f32>, depth: &Image<f32>, focal: f32) -> Self {
         let inverse_depth =
             depth.data.iter().map(|&z| if z > 0.0 { 1.0 / z } else { 0.0 }).collect();
-        let mut tree = Self { colour, inverse_depth, focal, max_detail: 0.0, depth_noise: 0.0 };
-        let colour_noise = (0..3).map(|c| tree.pixel_noise(colour.plane(c))).sum::<f32>() / 3.0;
-        tree.max_detail = MIN_DETAIL.max(COLOUR_NOISE_FACTOR * colour_noise);
-        tree.depth_noise = tree.plane_noise();
-        tree
+        let mut partition =
+            Self { colour, inverse_depth, focal, max_detail: 0.0, depth_noise: 0.0 };
+        let colour_noise =
+            (0..3).map(|c| partition.pixel_noise(colour.plane(c))).sum::<f32>() / 3.0;
+        partition.max_detail = MIN_DETAIL.max(COLOUR_NOISE_FACTOR * colour_noise);
+        partition.depth_noise = partition.plane_noise();
+        partition
     }
 
     /// Rectangles that cover the pixels marked in `wanted`.

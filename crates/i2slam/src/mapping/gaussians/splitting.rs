@@ -94,8 +94,7 @@ fn wrong_pixels(colour: &Image<f32>, prediction: &Image<f32>, limit: f32) -> Vec
 
 /// Splits the Gaussians on the rendered surface that are larger than the picture asks for where it
 /// differs from its prediction, and lowers the least size of those that are seen from nearer than
-/// before. Returns the index of the one that each
-/// appended Gaussian came from.
+/// before. Returns the index of the one that each appended Gaussian came from.
 pub(super) fn split_gaussians(
     map: &mut GaussianMap,
     bounds: &mut ScaleBounds,
