@@ -14,6 +14,7 @@ pub mod report;
 mod tables;
 #[cfg(test)]
 mod tests;
+mod viewer;
 
 pub use error::ResultError;
 pub use folder::{NAMES, load, remove_renders, save, save_metrics, save_trajectory};
@@ -23,3 +24,4 @@ pub use pictures::{
     DEPTH_UNITS_PER_METRE, RenderKind, save_render, write_depth, write_picture, write_radiance,
 };
 pub use tables::{online_trajectory, trajectory_line};
+pub use viewer::{NoViewer, VIEWER_FILE, viewer_page};

@@ -11,7 +11,7 @@ mod tests;
 pub use evaluation::{EvaluationSection, EvaluationSource, GroundTruthSource, insert_evaluations};
 pub use gallery::Comparison;
 
-use crate::html::{STYLE, escape};
+use crate::html::{STYLE, escape, fill};
 use crate::{Metrics, ResultError};
 use i2slam::geometry::StampedPose;
 use i2slam::{FrameEstimate, Reconstruction, Warning};
@@ -76,19 +76,6 @@ pub fn frames_to_show(frames: &[FrameEstimate], count: usize) -> Vec<usize> {
         (from..to).max_by(|&a, &b| frames[a].blur_length.total_cmp(&frames[b].blur_length))
     };
     (0..parts).filter_map(most_blurred).collect()
-}
-
-/// Replaces each `{{key}}` of the template, but none in the values.
-fn fill(template: &str, values: &[(&str, String)]) -> String {
-    let mut page = String::new();
-    let mut rest = template;
-    while let Some((before, after)) = rest.split_once("{{") {
-        page += before;
-        let Some((key, after)) = after.split_once("}}") else { break };
-        page += values.iter().find(|(name, _)| *name == key).map_or("", |(_, value)| value);
-        rest = after;
-    }
-    page + rest
 }
 
 /// Number of warnings that are shown without unfolding.

@@ -85,11 +85,6 @@ fn shown_frames_are_spread_and_blurred() {
 }
 
 #[test]
-fn placeholders_in_values_stay() {
-    assert_eq!(fill("a {{x}} b {{y}}", &[("x", "{{y}}".into()), ("y", "2".into())]), "a {{y}} b 2");
-}
-
-#[test]
 fn every_warning_is_there_with_its_time_and_many_are_folded() {
     assert_eq!(warning_section(&[]), "");
     let of = |count: usize| -> String {

@@ -1,0 +1,105 @@
+//! `viewer.html`: the map in 3D on one page without external files, for a browser with WebGL 2.
+//!
+//! Gaussians are blended in linear light, in half floats; exposure, white balance and response come
+//! after, as in image formation. The page holds the map [quantised](quantise), at most
+//! [`MAX_FRAMES`](scene::MAX_FRAMES) frames with their tone and the pictures taken, and the program
+//! under `page/`, which is our own.
+
+mod quantise;
+mod scene;
+#[cfg(test)]
+mod tests;
+
+use crate::html::{escape, fill, jpeg_address};
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+use i2slam::geometry::Image;
+use i2slam::{FrameEstimate, Map, Reconstruction};
+use scene::Scene;
+
+/// Name of the page in a result folder.
+pub const VIEWER_FILE: &str = "viewer.html";
+
+/// Largest map of a page: 4 million Gaussians make 96 MB, which telephones still open.
+const MAX_GAUSSIANS: usize = 4_000_000;
+
+/// Longest side of an embedded picture [px].
+const MAX_SIDE: usize = 640;
+
+/// Quality of embedded JPEG pictures, of 100.
+const QUALITY: u8 = 75;
+
+/// Why a map has no viewer page.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum NoViewer {
+    /// The map is a hash grid.
+    #[error("a hash grid has no Gaussians to draw in a browser")]
+    HashGrid,
+    /// The map shows nothing.
+    #[error("the map is empty")]
+    Empty,
+    /// The map has more than 4 million Gaussians.
+    #[error("{0} Gaussians are too many for a page: the most are {MAX_GAUSSIANS}")]
+    TooLarge(usize),
+}
+
+/// The page of a reconstruction. `taken` loads the picture of a frame (planes R, G, B in `[0, 1]`);
+/// a frame without one is shown without.
+pub fn viewer_page(
+    title: &str,
+    reconstruction: &Reconstruction,
+    mut taken: impl FnMut(&FrameEstimate) -> Option<Image<f32>>,
+) -> Result<String, NoViewer> {
+    let map = match &reconstruction.map {
+        Map::HashGrid(_) => return Err(NoViewer::HashGrid),
+        Map::Gaussians(map) if map.len() > MAX_GAUSSIANS => {
+            return Err(NoViewer::TooLarge(map.len()));
+        }
+        Map::Gaussians(map) => map,
+    };
+    let quantised = quantise::quantised(map);
+    if quantised.count == 0 {
+        return Err(NoViewer::Empty);
+    }
+    let picture = |frame: &FrameEstimate| match taken(frame) {
+        Some(picture) => jpeg_address(&within(picture, MAX_SIDE), QUALITY),
+        None => String::new(),
+    };
+    let scene = Scene::new(reconstruction, quantised.count, map.activation, picture);
+    let mut values = vec![
+        ("title", escape(title)),
+        ("scene", scene.json()),
+        ("map", STANDARD.encode(&quantised.bytes)),
+        ("version", env!("CARGO_PKG_VERSION").to_owned()),
+    ];
+    values.extend(PARTS.map(|(key, text)| (key, text.to_owned())));
+    Ok(fill(include_str!("page/page.html"), &values))
+}
+
+/// Style, programs and shaders of the page.
+const PARTS: [(&str, &str); 14] = [
+    ("style", include_str!("page/viewer.css")),
+    ("screen.vert", include_str!("page/screen.vert")),
+    ("splat.vert", include_str!("page/splat.vert")),
+    ("splat.frag", include_str!("page/splat.frag")),
+    ("halve.frag", include_str!("page/halve.frag")),
+    ("copy.frag", include_str!("page/copy.frag")),
+    ("tone.frag", include_str!("page/tone.frag")),
+    ("line.vert", include_str!("page/line.vert")),
+    ("line.frag", include_str!("page/line.frag")),
+    ("map.js", include_str!("page/map.js")),
+    ("algebra.js", include_str!("page/algebra.js")),
+    ("renderer.js", include_str!("page/renderer.js")),
+    ("navigation.js", include_str!("page/navigation.js")),
+    ("interface.js", include_str!("page/interface.js")),
+];
+
+/// A picture with sides of at most `most` [px].
+fn within(picture: Image<f32>, most: usize) -> Image<f32> {
+    let longest = picture.width.max(picture.height);
+    if longest <= most {
+        return picture;
+    }
+    let side = |length: usize| (length * most).div_ceil(longest).max(1);
+    picture.resized_by_area(side(picture.width), side(picture.height))
+}
