@@ -11,14 +11,19 @@ static READING: AtomicBool = AtomicBool::new(false);
 
 /// Installs the signal handler. Where the system refuses, Ctrl-C ends the program as usual.
 pub(crate) fn listen() {
-    let handler = || {
+    listen_for("\nending the run and writing what there is; once more ends at once");
+}
+
+/// As [`listen`], with another answer to the first signal.
+pub(crate) fn listen_for(answer: &'static str) {
+    let handler = move || {
         if REQUESTED.swap(true, Ordering::SeqCst) {
             std::process::exit(130);
         }
         print_status(if READING.load(Ordering::SeqCst) {
             "\nending the stream and reconstructing what was recorded; once more ends at once"
         } else {
-            "\nending the run and writing what there is; once more ends at once"
+            answer
         });
     };
     if ctrlc::set_handler(handler).is_err() {

@@ -13,6 +13,7 @@ mod messages;
 mod pose_lines;
 mod progress;
 mod reconstruction;
+mod result_folder;
 
 use std::process::ExitCode;
 

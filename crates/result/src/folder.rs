@@ -1,6 +1,8 @@
 //! A reconstruction saved to a result folder, the most important files first, and loaded from it.
 
 use crate::error::read_text;
+use crate::export::ply;
+use crate::export::splat::{Display, splats};
 use crate::pictures::DEPTH_UNITS_PER_METRE;
 use crate::{Metrics, ResultError, UnitOfLength, map, tables};
 use i2slam::dataset::read_trajectory;
@@ -61,7 +63,8 @@ pub fn save(folder: &OutputFolder, reconstruction: &Reconstruction) -> Vec<Resul
         folder.write("map.i2slam", |out| map::write_native(out, &r.map)),
         match &r.map {
             Map::Gaussians(map) => {
-                folder.write("map.ply", |out| map::write_ply(out, map, r.typical_tone()))
+                let splats = splats(map, &Display::Formed(r.typical_tone()));
+                folder.write("map.ply", |out| ply::write(out, &splats, None))
             }
             Map::HashGrid(_) => Ok(()),
         },

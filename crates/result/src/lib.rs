@@ -3,6 +3,7 @@
 
 mod archive;
 mod error;
+pub mod export;
 mod folder;
 pub mod html;
 mod input;

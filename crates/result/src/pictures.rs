@@ -32,7 +32,7 @@ pub fn write_picture(out: &mut dyn Write, picture: &Image<f32>) -> io::Result<()
 }
 
 /// Writes one plane in `[0, 1]` as an 8-bit grey PNG.
-fn write_mask(out: &mut dyn Write, mask: &Image<f32>) -> io::Result<()> {
+pub(crate) fn write_mask(out: &mut dyn Write, mask: &Image<f32>) -> io::Result<()> {
     let bytes: Vec<u8> = mask.plane(0).iter().map(|&value| byte(value)).collect();
     write_png(out, (mask, png::ColorType::Grayscale, png::BitDepth::Eight), &bytes)
 }

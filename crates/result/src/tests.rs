@@ -1,6 +1,8 @@
 //! Round trips and failures, on a reconstruction made by hand.
 
 use super::*;
+use crate::export::ply;
+use crate::export::splat::{Display, splats};
 use i2slam::Config;
 use i2slam::config::MapKind;
 use i2slam::formation::{CameraResponse, FrameTone, NodeSpacing, ShutterPoses, StartCurve};
@@ -246,8 +248,8 @@ fn viewers_get_display_colours() {
     let expected = curve.evaluate(0, tone.gains()[0] * radiance[0]).clamp(0.0, 1.0);
     let dc = |reconstruction: &Reconstruction| {
         let mut bytes = Vec::new();
-        let tone = reconstruction.typical_tone();
-        map::write_ply(&mut bytes, &gaussians, tone).expect("memory");
+        let display = Display::Formed(reconstruction.typical_tone());
+        ply::write(&mut bytes, &splats(&gaussians, &display), None).expect("memory");
         let start = bytes.len() - 7 * 17 * 4 + 6 * 4;
         f32::from_le_bytes([bytes[start], bytes[start + 1], bytes[start + 2], bytes[start + 3]])
     };

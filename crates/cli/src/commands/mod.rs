@@ -3,6 +3,7 @@
 mod degrade;
 mod demo;
 mod eval;
+mod export;
 mod info;
 mod presets;
 mod render;
@@ -27,6 +28,8 @@ pub(crate) enum Command {
     Run(Box<run::Run>),
     /// Render pictures of a result: sharp, blurred as observed, HDR, depth
     Render(render::Render),
+    /// Write a result for other programs: Gaussians, pictures with poses, mesh, path
+    Export(export::Export),
     /// Compare a result with ground truth
     Eval(eval::Eval),
     /// Reconstruct the clip that comes with the program (2 s, hand-held, blurred)
@@ -52,6 +55,7 @@ pub(crate) fn dispatch(command: Command) -> Result<(), Failure> {
     match command {
         Command::Run(arguments) => run::run(&arguments),
         Command::Render(arguments) => render::render(&arguments),
+        Command::Export(arguments) => export::export(&arguments),
         Command::Eval(arguments) => eval::eval(&arguments),
         Command::Demo(arguments) => demo::demo(&arguments),
         Command::Presets(arguments) => presets::presets(&arguments),

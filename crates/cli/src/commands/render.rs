@@ -6,6 +6,7 @@ use crate::failure::Failure;
 use crate::interrupt;
 use crate::messages::{note_displaced, note_saved_parts};
 use crate::progress::Progress;
+use crate::result_folder::refuse_non_results;
 use clap::Args;
 use i2slam::dataset::read_trajectory;
 use i2slam::geometry::{Image, Pose, Rotation, Vec3};
@@ -77,20 +78,6 @@ pub(crate) fn render(arguments: &Render) -> Result<(), Failure> {
     let path = pictures.place(done < frames.len())?;
     print(&format!("{done_frames}, {names}, in {}", path.display()));
     if done < frames.len() { Err(Failure::Interrupted) } else { Ok(()) }
-}
-
-/// Refuses a folder that is no result of a run.
-fn refuse_non_results(result: &Path) -> Result<(), Failure> {
-    let shown = result.display();
-    if !result.is_dir() {
-        return Err(Failure::Failed(format!("{shown}: no such folder")));
-    }
-    match result.join("config.toml").is_file() && result.join("map.i2slam").is_file() {
-        true => Ok(()),
-        false => Err(Failure::Failed(format!(
-            "{shown}: no result of a run, which has config.toml and map.i2slam"
-        ))),
-    }
 }
 
 /// File with the poses of rendered pictures.

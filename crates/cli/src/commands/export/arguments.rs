@@ -1,0 +1,159 @@
+//! Arguments of `i2slam export`.
+
+use crate::arguments::Machine;
+use crate::failure::Failure;
+use clap::{Args, ValueEnum};
+use i2slam::geometry::Vec3;
+use i2slam_result::export::{CropBox, Selection, Up, colmap, nerfstudio};
+use std::path::PathBuf;
+
+#[derive(Args, Debug)]
+pub(crate) struct Export {
+    /// Result folder of a run
+    pub(crate) result: PathBuf,
+    /// What to write
+    #[arg(long, value_enum, value_name = "FORMAT")]
+    pub(crate) format: Format,
+    /// The file to write, or the folder
+    #[arg(long, value_name = "PATH")]
+    pub(crate) out: PathBuf,
+    /// Replace an earlier export in the same format; nothing else is ever replaced
+    #[arg(long)]
+    pub(crate) overwrite: bool,
+    /// Only Gaussians in this box of the levelled world: x to the right, y down, z forward, seen
+    /// from the first camera
+    #[arg(long, value_name = "\"x0 y0 z0 x1 y1 z1\"", allow_hyphen_values = true)]
+    pub(crate) crop: Option<String>,
+    /// Only Gaussians of at least this opacity, 0 to 1
+    #[arg(long, value_name = "P", allow_negative_numbers = true)]
+    pub(crate) min_opacity: Option<f32>,
+    /// Which way is up: `estimate` from cameras and surfaces, `keep` the world of the result, or a
+    /// direction in that world
+    #[arg(long, value_name = "\"x y z\"", default_value = "estimate", allow_hyphen_values = true)]
+    pub(crate) up: String,
+    /// Colours as linear radiance, not as a picture
+    #[arg(long)]
+    pub(crate) linear: bool,
+    /// Keyframes alone, not all frames
+    #[arg(long)]
+    pub(crate) keyframes: bool,
+    #[command(flatten)]
+    pub(crate) machine: Machine,
+}
+
+/// Formats of exports.
+#[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Format {
+    /// COLMAP model with sharp pictures, masks and points, a folder
+    Colmap,
+    /// Pictures, masks and points with transforms.json, a folder
+    Nerfstudio,
+    /// Gaussians for splat viewers, one file
+    Ply,
+    /// Camera path, one line per frame: time, position, quaternion
+    Tum,
+    /// Camera path with exposure and white balance, a table
+    Csv,
+}
+
+impl Format {
+    /// Endings of its file; none for a folder or any.
+    pub(super) fn extensions(self) -> &'static [&'static str] {
+        match self {
+            Self::Ply => &["ply"],
+            Self::Colmap | Self::Nerfstudio | Self::Tum | Self::Csv => &[],
+        }
+    }
+
+    /// First parts of the paths in its folder; none for a file.
+    pub(super) fn names(self) -> Option<&'static [&'static str]> {
+        match self {
+            Self::Colmap => Some(colmap::NAMES),
+            Self::Nerfstudio => Some(nerfstudio::NAMES),
+            Self::Ply | Self::Tum | Self::Csv => None,
+        }
+    }
+
+    /// What a cut of the map does not change.
+    fn is_path_alone(self) -> bool {
+        matches!(self, Self::Tum | Self::Csv)
+    }
+
+    /// Name on the command line.
+    pub(super) fn name(self) -> String {
+        self.to_possible_value().map(|value| value.get_name().to_owned()).unwrap_or_default()
+    }
+}
+
+impl Export {
+    /// The selection that the flags describe.
+    pub(super) fn selection(&self) -> Result<Selection, Failure> {
+        let min_opacity = self.min_opacity.unwrap_or(0.0);
+        if !(0.0..=1.0).contains(&min_opacity) {
+            let message = format!("--min-opacity {min_opacity}: expected a number from 0 to 1");
+            return Err(Failure::Usage(message));
+        }
+        let crop = self.crop.as_deref().map(parse_crop).transpose()?;
+        let is_cut = crop.is_some() || self.min_opacity.is_some() || self.linear;
+        if self.format.is_path_alone() && is_cut {
+            let name = self.format.name();
+            return Err(Failure::Usage(format!(
+                "--crop, --min-opacity and --linear are for the map; {name} holds the path alone"
+            )));
+        }
+        let (up, linear, keyframes) = (parse_up(&self.up)?, self.linear, self.keyframes);
+        Ok(Selection { crop, min_opacity, up, linear, keyframes })
+    }
+}
+
+fn parse_crop(text: &str) -> Result<CropBox, Failure> {
+    let refuse = |why: &str| Failure::Usage(format!("--crop \"{text}\": {why}"));
+    let [x0, y0, z0, x1, y1, z1] = numbers::<6>(text)
+        .ok_or_else(|| refuse("expected six numbers, the least and the largest x y z"))?;
+    let (least, most) = ([x0, y0, z0], [x1, y1, z1]);
+    let is_box = least.iter().zip(&most).all(|(a, b)| a < b);
+    let why = "holds nothing: each of the last three numbers must be larger than that of the first";
+    if is_box { Ok(CropBox { least, most }) } else { Err(refuse(why)) }
+}
+
+fn parse_up(text: &str) -> Result<Up, Failure> {
+    match text.trim() {
+        "estimate" => return Ok(Up::Estimated),
+        "keep" => return Ok(Up::Kept),
+        _ => {}
+    }
+    let direction = numbers::<3>(text).map(Vec3::from_array).filter(|v| v.norm() > 0.0);
+    direction.map(Up::Given).ok_or_else(|| {
+        Failure::Usage(format!(
+            "--up \"{text}\": expected `estimate`, `keep`, or a direction as in \"0 -1 0.2\""
+        ))
+    })
+}
+
+/// Exactly N finite numbers, between spaces or commas.
+fn numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
+    let words = text.split([' ', ',']).filter(|word| !word.is_empty());
+    let numbers: Option<Vec<f64>> = words.map(|word| word.parse().ok()).collect();
+    let numbers: [f64; N] = numbers?.try_into().ok()?;
+    numbers.iter().all(|v| v.is_finite()).then_some(numbers)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn boxes_and_directions_are_checked() {
+        let crop = parse_crop("-1, -2 0  1 2 3.5").expect("a box");
+        assert_eq!((crop.least, crop.most), ([-1.0, -2.0, 0.0], [1.0, 2.0, 3.5]));
+        for wrong in ["0 0 0 1 1", "0 0 0 1 1 x", "0 0 0 1 1 0", "1 0 0 0 1 1", "0 0 0 1 1 inf"] {
+            assert!(matches!(parse_crop(wrong), Err(Failure::Usage(_))), "{wrong}");
+        }
+        let up = Vec3::new(0.0, -1.0, 0.5);
+        assert!(matches!(parse_up("0 -1 .5"), Ok(Up::Given(v)) if v == up));
+        assert!(matches!(parse_up("keep"), Ok(Up::Kept)));
+        for wrong in ["0 0 0", "up", "1 2", "nan 0 1"] {
+            assert!(matches!(parse_up(wrong), Err(Failure::Usage(_))), "{wrong}");
+        }
+    }
+}

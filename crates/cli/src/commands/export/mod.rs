@@ -1,0 +1,107 @@
+//! `i2slam export`: a result in the format of another program.
+
+mod arguments;
+mod place;
+
+pub(crate) use arguments::Export;
+
+use crate::console::{counted, print};
+use crate::failure::Failure;
+use crate::interrupt;
+use crate::messages::{note_displaced, note_saved_parts};
+use crate::progress::Progress;
+use crate::result_folder::refuse_non_results;
+use arguments::Format;
+use i2slam_result::UnitOfLength;
+use i2slam_result::export::{
+    Axes, ExportError, MARK, Scene, Watch, colmap, csv, nerfstudio, ply, tum,
+};
+use i2slam_storage::{OutputFolder, write_file};
+use std::path::Path;
+
+impl From<ExportError> for Failure {
+    fn from(error: ExportError) -> Self {
+        match error {
+            ExportError::Storage(error) => error.into(),
+            ExportError::Cancelled => Self::Interrupted,
+            error => Self::Failed(error.to_string()),
+        }
+    }
+}
+
+pub(crate) fn export(arguments: &Export) -> Result<(), Failure> {
+    let selection = arguments.selection()?;
+    place::check(arguments)?;
+    arguments.machine.use_threads()?;
+    note_saved_parts(&i2slam_storage::recover(&arguments.result));
+    refuse_non_results(&arguments.result)?;
+    interrupt::listen_for("\nending the export, of which nothing is kept; once more ends at once");
+    let scene = Scene::new(i2slam_result::load(&arguments.result)?, &selection)?;
+    let progress = Progress::new(scene.frames(), arguments.machine.quiet);
+    let watch = Watch {
+        progress: &|name, done, total| progress.step(name, done, total),
+        cancellation: interrupt::cancellation(),
+    };
+    let written = write(arguments, &scene, &watch);
+    progress.clear();
+    let what = with_unit(&written?, &scene);
+    print(&format!("{what}, in {}", arguments.out.display()));
+    Ok(())
+}
+
+/// Writes the file or folder; says what is in it.
+fn write(arguments: &Export, scene: &Scene, watch: &Watch<'_>) -> Result<String, Failure> {
+    let out = &arguments.out;
+    match arguments.format {
+        Format::Colmap => write_folder(arguments, scene, colmap::NAMES, |folder| {
+            colmap::write(scene, folder, watch)
+        }),
+        Format::Nerfstudio => write_folder(arguments, scene, nerfstudio::NAMES, |folder| {
+            nerfstudio::write(scene, folder, watch)
+        }),
+        Format::Ply => {
+            let splats = scene.splats(Axes::YDown)?;
+            write_file(out, |file| ply::write(file, &splats, Some(&mark("ply"))))?;
+            Ok(counted(splats.len(), "Gaussian"))
+        }
+        Format::Tum => {
+            write_text(out, &tum(scene, &mark("tum")))?;
+            Ok(counted(scene.frames(), "pose"))
+        }
+        Format::Csv => {
+            write_text(out, &csv(scene))?;
+            Ok(counted(scene.frames(), "frame"))
+        }
+    }
+}
+
+/// Writes pictures and points as a folder; says how many there are.
+fn write_folder(
+    arguments: &Export,
+    scene: &Scene,
+    names: &'static [&'static str],
+    content: impl FnOnce(&OutputFolder) -> Result<usize, ExportError>,
+) -> Result<String, Failure> {
+    let mut folder = OutputFolder::replace(&arguments.out, place::claim(arguments, names))?;
+    let points = content(&folder)?;
+    note_displaced(&folder.commit_or_save()?);
+    Ok(format!("{} and {}", counted(scene.frames(), "picture"), counted(points, "point")))
+}
+
+fn write_text(out: &Path, text: &str) -> Result<(), Failure> {
+    Ok(write_file(out, |file| file.write_all(text.as_bytes()))?)
+}
+
+/// The line in a file by which it is known as an export.
+fn mark(format: &str) -> String {
+    format!("{MARK} --format {format}, version {}", env!("CARGO_PKG_VERSION"))
+}
+
+fn with_unit(what: &str, scene: &Scene) -> String {
+    match scene.unit() {
+        UnitOfLength::Metre => format!("{what}, in metres"),
+        UnitOfLength::Unknown => {
+            format!("{what}, in a unit of length that pictures alone do not tell")
+        }
+    }
+}

@@ -1,0 +1,70 @@
+//! The place of an export: new, or an earlier export in the same format.
+
+use super::arguments::{Export, Format};
+use crate::failure::Failure;
+use i2slam_result::export::{CSV_COLUMNS, MARK};
+use i2slam_storage::{Claim, OutputFolder};
+use std::io::Read;
+use std::path::Path;
+
+/// Beginning of a file in which its mark stands [bytes].
+const HEAD: u64 = 4096;
+
+/// Checks that the export may be written, before any work.
+pub(super) fn check(arguments: &Export) -> Result<(), Failure> {
+    let (format, out) = (arguments.format, arguments.out.as_path());
+    if let Some(names) = format.names() {
+        return Ok(OutputFolder::check(out, claim(arguments, names))?);
+    }
+    check_extension(format, out)?;
+    check_file(format, out, arguments.overwrite)
+}
+
+/// The claim on a folder for these names.
+pub(super) fn claim(arguments: &Export, names: &'static [&'static str]) -> Claim<'static> {
+    Claim { command: MARK, names, overwrite: arguments.overwrite }
+}
+
+fn check_extension(format: Format, out: &Path) -> Result<(), Failure> {
+    let due = format.extensions();
+    let name = out.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
+    let fits = |extension: &&str| name.ends_with(&format!(".{extension}"));
+    if due.is_empty() || due.iter().any(|extension| fits(extension)) {
+        return Ok(());
+    }
+    let (out, format, due) = (out.display(), format.name(), due.join(" or ."));
+    Err(Failure::Usage(format!("--out {out}: the name of a {format} file ends with .{due}")))
+}
+
+/// Refuses a file that is there, unless it is an earlier export and may be replaced.
+fn check_file(format: Format, out: &Path, overwrite: bool) -> Result<(), Failure> {
+    if out.symlink_metadata().is_err() {
+        return Ok(());
+    }
+    let message = match (is_earlier_export(format, out), overwrite) {
+        (true, true) => return Ok(()),
+        (true, false) => {
+            "is an earlier export: choose another name, or replace it with --overwrite".to_owned()
+        }
+        (false, _) if out.is_dir() => "is a folder: name a file in it".to_owned(),
+        (false, _) => {
+            let name = format.name();
+            format!("is there already, and no export of the format {name}: choose another name")
+        }
+    };
+    Err(Failure::Usage(format!("--out {} {message}", out.display())))
+}
+
+/// Whether a file begins as one that this command wrote in that format.
+fn is_earlier_export(format: Format, file: &Path) -> bool {
+    let mut head = Vec::new();
+    let read = i2slam_storage::open(file).and_then(|file| file.take(HEAD).read_to_end(&mut head));
+    if read.is_err() {
+        return false;
+    }
+    let mark = match format {
+        Format::Csv => CSV_COLUMNS.to_owned(),
+        _ => format!("{MARK} --format {}", format.name()),
+    };
+    head.windows(mark.len()).any(|window| window == mark.as_bytes())
+}

@@ -1,0 +1,18 @@
+//! Result folders as arguments.
+
+use crate::failure::Failure;
+use std::path::Path;
+
+/// Refuses a folder that is no result of a run.
+pub(crate) fn refuse_non_results(result: &Path) -> Result<(), Failure> {
+    let shown = result.display();
+    if !result.is_dir() {
+        return Err(Failure::Failed(format!("{shown}: no such folder")));
+    }
+    match result.join("config.toml").is_file() && result.join("map.i2slam").is_file() {
+        true => Ok(()),
+        false => Err(Failure::Failed(format!(
+            "{shown}: no result of a run, which has config.toml and map.i2slam"
+        ))),
+    }
+}

@@ -1,0 +1,28 @@
+//! Results in the formats of other programs; one file per format.
+//!
+//! A [`Scene`] is what leaves: the reconstruction, cut to what was asked for, and the rotation that
+//! levels it. Files hold the levelled world, whose axes are those of a camera that looks straight ahead
+//! (x right, y down, z forward), apart from formats that have an up of their own ([`Axes`]).
+
+mod axes;
+pub mod colmap;
+mod error;
+mod level;
+pub mod nerfstudio;
+pub mod ply;
+mod scene;
+mod seed_points;
+pub mod splat;
+mod tables;
+mod views;
+mod watch;
+
+pub use axes::Axes;
+pub use error::ExportError;
+pub use level::Up;
+pub use scene::{CropBox, Scene, Selection};
+pub use tables::{CSV_COLUMNS, csv, tum};
+pub use watch::Watch;
+
+/// The mark in every file by which this program knows its own exports.
+pub const MARK: &str = "i2slam export";

@@ -1,0 +1,159 @@
+//! What is exported: a reconstruction, cut to what was asked for, and its levelled world.
+
+use super::axes::Axes;
+use super::error::ExportError;
+use super::level::{Up, level};
+use super::splat::{Display, Splat, splats};
+use crate::UnitOfLength;
+use i2slam::geometry::{Pose, Rotation, Vec3};
+use i2slam::radiance::gaussian::GaussianMap;
+use i2slam::{FrameEstimate, Map, Reconstruction};
+
+/// A box in the levelled world [m], from its least to its largest corner.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CropBox {
+    /// Least coordinates.
+    pub least: [f64; 3],
+    /// Largest coordinates.
+    pub most: [f64; 3],
+}
+
+impl CropBox {
+    fn contains(&self, point: Vec3<f64>) -> bool {
+        let point = point.to_array();
+        (0..3).all(|i| (self.least[i]..=self.most[i]).contains(&point[i]))
+    }
+}
+
+/// Choice of what is exported, and how.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Selection {
+    /// Gaussians with their mean outside this box are left out.
+    pub crop: Option<CropBox>,
+    /// Gaussians of a lower opacity are left out, 0 to 1.
+    pub min_opacity: f32,
+    /// Where up is.
+    pub up: Up,
+    /// Whether colours are linear radiance, in place of picture values.
+    pub linear: bool,
+    /// Whether frames that are no keyframes are left out.
+    pub keyframes: bool,
+}
+
+/// What is exported.
+pub struct Scene {
+    /// The reconstruction in its own world, with the Gaussians that were chosen.
+    pub(crate) reconstruction: Reconstruction,
+    /// The frames that were chosen and whose pose was found.
+    pub(crate) frames: Vec<FrameEstimate>,
+    level_from_world: Rotation<f64>,
+    pub(crate) linear: bool,
+}
+
+impl Scene {
+    /// Chooses from a reconstruction.
+    ///
+    /// # Errors
+    /// [`ExportError::Refused`] where a hash grid is to be cut, or nothing is left.
+    pub fn new(
+        mut reconstruction: Reconstruction,
+        selection: &Selection,
+    ) -> Result<Self, ExportError> {
+        let level_from_world = level(&reconstruction, selection.up);
+        let frames = reconstruction.frames.iter();
+        let is_chosen = |f: &&FrameEstimate| f.tracked && (f.keyframe || !selection.keyframes);
+        let frames: Vec<FrameEstimate> = frames.filter(is_chosen).cloned().collect();
+        if frames.is_empty() {
+            let what = if selection.keyframes { "keyframe" } else { "frame" };
+            return Err(ExportError::refused(format!("the result has no {what} with a pose")));
+        }
+        if selection.crop.is_some() || selection.min_opacity > 0.0 {
+            let Map::Gaussians(map) = &mut reconstruction.map else {
+                return Err(ExportError::refused(
+                    "the map is a hash grid: it has no Gaussians to leave out, export it without \
+                     --crop and --min-opacity",
+                ));
+            };
+            keep(map, |mean, opacity| {
+                let inside = |b: CropBox| b.contains(level_from_world.rotate(mean));
+                opacity >= selection.min_opacity && selection.crop.is_none_or(inside)
+            });
+            if map.is_empty() {
+                return Err(ExportError::refused(
+                    "no Gaussian is left: choose a larger box or a lower opacity (the box is in the \
+                     levelled world, x right, y down, z forward from the first camera)",
+                ));
+            }
+        }
+        Ok(Self { reconstruction, frames, level_from_world, linear: selection.linear })
+    }
+
+    /// Frames that have a pose.
+    pub fn frames(&self) -> usize {
+        self.frames.len()
+    }
+
+    /// Number of Gaussians that were chosen; 0 of a hash grid.
+    pub fn gaussians(&self) -> usize {
+        self.reconstruction.map.gaussians()
+    }
+
+    /// The unit of all lengths.
+    pub fn unit(&self) -> UnitOfLength {
+        UnitOfLength::of(&self.reconstruction.config)
+    }
+
+    /// Rotation from the world of the result to that of a file.
+    pub(crate) fn rotation(&self, axes: Axes) -> Rotation<f64> {
+        axes.rotation() * self.level_from_world
+    }
+
+    /// The pose of a frame at mid-exposure in the world of a file.
+    pub(crate) fn pose(&self, frame: &FrameEstimate, axes: Axes) -> Pose<f64> {
+        let Pose { rotation, translation } = frame.middle();
+        let turn = self.rotation(axes);
+        Pose::new((turn * rotation).normalized(), turn.rotate(translation))
+    }
+
+    /// How colours leave.
+    pub(crate) fn display(&self) -> Display {
+        match self.linear {
+            true => Display::Linear,
+            false => Display::Formed(self.reconstruction.typical_tone()),
+        }
+    }
+
+    /// The Gaussians for viewers, in the world of a file.
+    ///
+    /// # Errors
+    /// [`ExportError::Refused`] for a hash grid, and an empty map.
+    pub fn splats(&self, axes: Axes) -> Result<Vec<Splat>, ExportError> {
+        let map = match &self.reconstruction.map {
+            Map::Gaussians(map) if !map.is_empty() => map,
+            Map::Gaussians(_) => {
+                return Err(ExportError::refused("the map of the result is empty"));
+            }
+            Map::HashGrid(_) => {
+                return Err(ExportError::refused(
+                    "the map is a hash grid, which has no Gaussians to write: export its pictures \
+                     (colmap, nerfstudio, video), its mesh or its path (tum, csv)",
+                ));
+            }
+        };
+        let turn = self.rotation(axes);
+        let splats = splats(map, &self.display()).into_iter();
+        Ok(splats.map(|splat| splat.rotated(turn)).collect())
+    }
+}
+
+/// Keeps the Gaussians that a rule on mean and opacity lets pass.
+fn keep(map: &mut GaussianMap<f32>, passes: impl Fn(Vec3<f64>, f32) -> bool) {
+    let opacity = |logit: f32| 1.0 / (1.0 + (-logit).exp());
+    let kept: Vec<bool> = map
+        .means
+        .iter()
+        .zip(&map.opacity_logits)
+        .map(|(mean, logit)| passes(Vec3::from_array(mean.map(f64::from)), opacity(*logit)))
+        .collect();
+    map.retain(&kept);
+}

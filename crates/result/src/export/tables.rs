@@ -1,0 +1,48 @@
+//! The path as text: TUM format, and a table with everything about the frames.
+
+use super::axes::Axes;
+use super::scene::Scene;
+use crate::tables::trajectory;
+use i2slam::geometry::StampedPose;
+use std::fmt::Write;
+
+/// First line of the table of [`csv`].
+pub const CSV_COLUMNS: &str = "index,timestamp,tx,ty,tz,qx,qy,qz,qw,exposure,white_balance_r,\
+                               white_balance_g,white_balance_b,blur_length_px,keyframe,held_out";
+
+/// Poses at mid-exposure in the TUM format, `timestamp tx ty tz qx qy qz qw`, world from camera; the
+/// first line has a mark and the unit of length.
+pub fn tum(scene: &Scene, mark: &str) -> String {
+    let poses: Vec<StampedPose> = scene
+        .frames
+        .iter()
+        .map(|frame| StampedPose {
+            timestamp: frame.timestamp,
+            world_from_camera: scene.pose(frame, Axes::YDown),
+        })
+        .collect();
+    let text = trajectory(&poses, scene.unit());
+    text.replacen("at mid-exposure", &format!("at mid-exposure, {mark}"), 1)
+}
+
+/// One row per frame: position in the stream, time [s], pose at mid-exposure (world from camera),
+/// exposure relative to the first frame, gains of white balance, blur length [px], and flags.
+pub fn csv(scene: &Scene) -> String {
+    let mut text = format!("{CSV_COLUMNS}\n");
+    for frame in &scene.frames {
+        let pose = scene.pose(frame, Axes::YDown);
+        let (t, q) = (pose.translation, pose.rotation);
+        let [exposure, red, green, blue] = frame.tone.to_array().map(f32::exp);
+        let (keyframe, held_out) = (u8::from(frame.keyframe), u8::from(frame.held_out));
+        let (place, time, blur) = (frame.index, frame.timestamp, frame.blur_length);
+        // Writing to a string cannot fail.
+        writeln!(
+            text,
+            "{place},{time},{:.9},{:.9},{:.9},{:.9},{:.9},{:.9},{:.9},{exposure},{red},{green},{blue},\
+             {blur:.3},{keyframe},{held_out}",
+            t.x, t.y, t.z, q.v.x, q.v.y, q.v.z, q.w
+        )
+        .ok();
+    }
+    text
+}
