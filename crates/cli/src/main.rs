@@ -14,6 +14,7 @@ mod pose_lines;
 mod progress;
 mod reconstruction;
 mod result_folder;
+mod taken_pictures;
 
 use std::process::ExitCode;
 

@@ -32,6 +32,7 @@ pub const NAMES: &[&str] = &[
     "metrics.json",
     "evaluation.json",
     "report.html",
+    "viewer.html",
     "renders",
     "views",
 ];

@@ -25,4 +25,4 @@ pub use pictures::{
     DEPTH_UNITS_PER_METRE, RenderKind, save_render, write_depth, write_picture, write_radiance,
 };
 pub use tables::{online_trajectory, trajectory_line};
-pub use viewer::{NoViewer, VIEWER_FILE, viewer_page};
+pub use viewer::{NoViewer, VIEWER_FILE, ViewerPage};

@@ -6,13 +6,14 @@ use crate::failure::Failure;
 use crate::ground_truth::{GroundTruth, range_stops};
 use crate::messages::displaced_files;
 use crate::progress::Progress;
+use crate::taken_pictures::taken_pictures;
 use i2slam::dataset::{OpenOptions, Sequence};
 use i2slam::geometry::StampedPose;
 use i2slam::{RunOutcome, Warning};
 use i2slam_eval::exposure::exposure_agreement;
 use i2slam_eval::trajectory::Alignment;
 use i2slam_result::report::Report;
-use i2slam_result::{Metrics, ResultError, RunInput, save, save_metrics};
+use i2slam_result::{Metrics, ResultError, RunInput, VIEWER_FILE, ViewerPage, save, save_metrics};
 use i2slam_storage::OutputFolder;
 use std::path::{Path, PathBuf};
 
@@ -82,13 +83,19 @@ impl FinishedRun<'_> {
         rendered.metrics.write_to(&mut measurements.metrics);
         measurements.metrics.peak_memory_bytes = peak_memory();
         measurements.metrics.complete = self.outcome.complete;
+        let title = self.job.title.unwrap_or(&self.sequence.name);
+        let page = ViewerPage::of(title, reconstruction).html(taken_pictures(self.sequence));
+        if let Ok(page) = &page {
+            note(folder.write_text(VIEWER_FILE, page).map_err(ResultError::from));
+        }
         let report = Report {
-            title: self.job.title.unwrap_or(&self.sequence.name),
+            title,
             reconstruction,
             metrics: &measurements.metrics,
             ground_truth: &measurements.truth_in_world,
             true_exposure: &self.truth.exposure,
             comparisons: &rendered.comparisons,
+            viewer: page.map(|page| page.len()),
         };
         note(report.save(folder));
         measurements.metrics.complete &= problems.is_empty();

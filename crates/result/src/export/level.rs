@@ -16,7 +16,7 @@ pub enum Up {
 }
 
 /// Up of a levelled world, whose y axis points down.
-const LEVEL_UP: Vec3<f64> = Vec3 { x: 0.0, y: -1.0, z: 0.0 };
+pub(crate) const LEVEL_UP: Vec3<f64> = Vec3 { x: 0.0, y: -1.0, z: 0.0 };
 
 /// Views whose surfaces are measured.
 const VIEWS: usize = 12;

@@ -7,7 +7,8 @@
 mod axes;
 pub mod colmap;
 mod error;
-mod level;
+mod html;
+pub(crate) mod level;
 pub mod nerfstudio;
 pub mod ply;
 mod scene;
@@ -19,6 +20,7 @@ mod watch;
 
 pub use axes::Axes;
 pub use error::ExportError;
+pub use html::html;
 pub use level::Up;
 pub use scene::{CropBox, Scene, Selection};
 pub use tables::{CSV_COLUMNS, csv, tum};

@@ -2,6 +2,7 @@
 
 use super::Report;
 use super::headline::significant;
+use crate::VIEWER_FILE;
 use crate::html::data_address;
 use i2slam::FrameEstimate;
 use i2slam::geometry::Image;
@@ -75,6 +76,22 @@ fn write_pair(
         write!(out, ": blur {blur:.1} px, exposure {exposure} times that of the first frame")?;
     }
     write!(out, "</figcaption></figure>")
+}
+
+/// The viewer page, opened in place by a button, or why there is none.
+pub(super) fn viewer(report: &Report<'_>, exists: bool) -> String {
+    match report.viewer {
+        Ok(bytes) if exists => {
+            let megabytes = significant(bytes as f64 * 1e-6);
+            format!(
+                "<div class=\"walk\"><button type=\"button\">Open here</button></div>\
+                 <p>Or <a href=\"{VIEWER_FILE}\">on a page of its own</a>: {VIEWER_FILE}, {megabytes} \
+                 MB, which needs nothing else.</p>"
+            )
+        }
+        Ok(_) => format!("<p class=\"none\">{VIEWER_FILE} could not be written.</p>"),
+        Err(reason) => format!("<p class=\"none\">No 3D view: {reason}.</p>"),
+    }
 }
 
 /// The first frame with pictures at other exposures, darker and brighter than it was taken.

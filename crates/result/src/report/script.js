@@ -43,6 +43,22 @@ for (const button of kinds) {
 }
 if (!pairs.length) document.querySelector("#pictures").hidden = true;
 
+// The map in 3D, at the frame that is shown above.
+const walk = document.querySelector(".walk");
+if (walk) {
+  const shown = () => pairs.find(p => p.classList.contains("shown"));
+  const poster = shown()?.querySelector(".sharp");
+  if (poster) walk.style.backgroundImage = `url("${poster.src}")`;
+  walk.querySelector("button").onclick = () => {
+    const frame = document.createElement("iframe");
+    frame.src = "viewer.html#frame=" + (shown()?.dataset.frame ?? 0);
+    frame.title = "The map in 3D";
+    frame.allow = "fullscreen";
+    walk.replaceChildren(frame);
+    frame.focus();
+  };
+}
+
 // Values under the pointer, read back from the drawn lines.
 for (const svg of document.querySelectorAll(".plot svg")) {
   const numbers = name => svg.dataset[name].split(",").map(Number);

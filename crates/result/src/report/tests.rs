@@ -49,6 +49,7 @@ fn page(title: &str, frames: usize) -> String {
         ground_truth: &ground_truth,
         true_exposure: &true_exposure,
         comparisons: &comparisons,
+        viewer: Ok(4_890_000),
     }
     .html(|name| name != "map.ply")
 }
@@ -62,6 +63,7 @@ fn the_page_needs_nothing_else() {
     for address in outside {
         assert!(!page.contains(address), "{address}");
     }
+    assert!(page.contains("<a href=\"viewer.html\">") && page.contains("4.89 MB"));
     assert_eq!(page.matches("<figure class=\"plot\">").count(), 11);
     assert_eq!(page.matches("<figure class=\"pair").count(), 4);
 }
@@ -70,6 +72,27 @@ fn the_page_needs_nothing_else() {
 fn a_run_without_frames_has_a_page_too() {
     let page = page("nothing", 0);
     assert!(page.contains("No frame was processed") && !page.contains("NaN"));
+}
+
+#[test]
+fn a_report_without_a_viewer_says_why() {
+    let reconstruction = example(2);
+    let metrics = Metrics::of(&reconstruction);
+    let page = |viewer, exists: bool| {
+        let report = Report {
+            title: "x",
+            reconstruction: &reconstruction,
+            metrics: &metrics,
+            ground_truth: &[],
+            true_exposure: &[],
+            comparisons: &[],
+            viewer,
+        };
+        report.html(|_| exists)
+    };
+    let grid = page(Err(NoViewer::HashGrid), false);
+    assert!(grid.contains("No 3D view: a hash grid") && !grid.contains("<a href=\"viewer.html\">"));
+    assert!(page(Ok(1_000_000), false).contains("viewer.html could not be written"));
 }
 
 #[test]
@@ -110,6 +133,7 @@ fn a_degraded_result_says_so_first() {
             ground_truth: &[],
             true_exposure: &[],
             comparisons: &[],
+            viewer: Err(NoViewer::Empty),
         };
         headline::lead(&report)
     };

@@ -10,10 +10,11 @@ mod scene;
 #[cfg(test)]
 mod tests;
 
+use crate::export::level::{LEVEL_UP, Up, level};
 use crate::html::{escape, fill, jpeg_address};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
-use i2slam::geometry::Image;
+use i2slam::geometry::{Image, Vec3};
 use i2slam::{FrameEstimate, Map, Reconstruction};
 use scene::Scene;
 
@@ -43,37 +44,60 @@ pub enum NoViewer {
     TooLarge(usize),
 }
 
-/// The page of a reconstruction. `taken` loads the picture of a frame (planes R, G, B in `[0, 1]`);
-/// a frame without one is shown without.
-pub fn viewer_page(
-    title: &str,
-    reconstruction: &Reconstruction,
-    mut taken: impl FnMut(&FrameEstimate) -> Option<Image<f32>>,
-) -> Result<String, NoViewer> {
-    let map = match &reconstruction.map {
-        Map::HashGrid(_) => return Err(NoViewer::HashGrid),
-        Map::Gaussians(map) if map.len() > MAX_GAUSSIANS => {
-            return Err(NoViewer::TooLarge(map.len()));
-        }
-        Map::Gaussians(map) => map,
-    };
-    let quantised = quantise::quantised(map);
-    if quantised.count == 0 {
-        return Err(NoViewer::Empty);
+/// What a page shows.
+#[derive(Clone, Copy, Debug)]
+pub struct ViewerPage<'a> {
+    /// Name of the sequence.
+    pub title: &'a str,
+    /// Map, camera and responses.
+    pub reconstruction: &'a Reconstruction,
+    /// The frames, of which those with a pose are shown.
+    pub frames: &'a [FrameEstimate],
+    /// Direction against gravity, in the world.
+    pub up: Vec3<f64>,
+    /// What made the page, named in its head.
+    pub generator: &'a str,
+}
+
+impl<'a> ViewerPage<'a> {
+    /// The page of a whole result; the vertical is estimated.
+    pub fn of(title: &'a str, reconstruction: &'a Reconstruction) -> Self {
+        let up = level(reconstruction, Up::Estimated).inverse().rotate(LEVEL_UP);
+        let generator = concat!("i2slam ", env!("CARGO_PKG_VERSION"));
+        Self { title, reconstruction, frames: &reconstruction.frames, up, generator }
     }
-    let picture = |frame: &FrameEstimate| match taken(frame) {
-        Some(picture) => jpeg_address(&within(picture, MAX_SIDE), QUALITY),
-        None => String::new(),
-    };
-    let scene = Scene::new(reconstruction, quantised.count, map.activation, picture);
-    let mut values = vec![
-        ("title", escape(title)),
-        ("scene", scene.json()),
-        ("map", STANDARD.encode(&quantised.bytes)),
-        ("version", env!("CARGO_PKG_VERSION").to_owned()),
-    ];
-    values.extend(PARTS.map(|(key, text)| (key, text.to_owned())));
-    Ok(fill(include_str!("page/page.html"), &values))
+
+    /// The text of the page. `taken` loads the picture of a frame (planes R, G, B in `[0, 1]`); a
+    /// frame without one is shown without.
+    pub fn html(
+        &self,
+        mut taken: impl FnMut(&FrameEstimate) -> Option<Image<f32>>,
+    ) -> Result<String, NoViewer> {
+        let map = match &self.reconstruction.map {
+            Map::HashGrid(_) => return Err(NoViewer::HashGrid),
+            Map::Gaussians(map) if map.len() > MAX_GAUSSIANS => {
+                return Err(NoViewer::TooLarge(map.len()));
+            }
+            Map::Gaussians(map) => map,
+        };
+        let quantised = quantise::quantised(map);
+        if quantised.count == 0 {
+            return Err(NoViewer::Empty);
+        }
+        let picture = |frame: &FrameEstimate| match taken(frame) {
+            Some(picture) => jpeg_address(&within(picture, MAX_SIDE), QUALITY),
+            None => String::new(),
+        };
+        let scene = Scene::new(self, quantised.count, map.activation, picture);
+        let mut values = vec![
+            ("title", escape(self.title)),
+            ("scene", scene.json()),
+            ("map", STANDARD.encode(&quantised.bytes)),
+            ("generator", escape(self.generator)),
+        ];
+        values.extend(PARTS.map(|(key, text)| (key, text.to_owned())));
+        Ok(fill(include_str!("page/page.html"), &values))
+    }
 }
 
 /// Style, programs and shaders of the page.

@@ -143,9 +143,8 @@ impl Bounds {
 
 /// A unit quaternion without its largest component, which is made positive.
 fn packed_rotation(rotation: [f32; 4]) -> u32 {
-    let largest = (1..4).fold(0, |best, i| {
-        if rotation[i].abs() > rotation[best].abs() { i } else { best }
-    });
+    let largest =
+        (1..4).fold(0, |best, i| if rotation[i].abs() > rotation[best].abs() { i } else { best });
     let sign = rotation[largest].signum();
     let others = (0..4).filter(|&i| i != largest);
     others.enumerate().fold((largest as u32) << 30, |packed, (place, i)| {
@@ -178,14 +177,14 @@ pub(super) mod tests {
         let mut map = GaussianMap::new(Shape::Anisotropic, activation);
         for i in 0..n {
             let between = |k: usize, share: f32| {
-                let bound = |high: usize| f32::from_bits(word(bounds, i / CHUNK * 18 + 9 * high + k));
+                let bound =
+                    |high: usize| f32::from_bits(word(bounds, i / CHUNK * 18 + 9 * high + k));
                 bound(0) + share * (bound(1) - bound(0))
             };
             let place = |k: usize| 2 * (3 * i + k);
             let half = |k: usize| u16::from_le_bytes([means[place(k)], means[place(k) + 1]]);
             let tenth = |k: usize| (word(colours, i) >> (10 * k) & 1023) as f32 / STEPS_10;
-            let opacity =
-                MIN_OPACITY + f32::from(opacities[i]) / STEPS_8 * (1.0 - MIN_OPACITY);
+            let opacity = MIN_OPACITY + f32::from(opacities[i]) / STEPS_8 * (1.0 - MIN_OPACITY);
             map.push(Gaussian {
                 mean: std::array::from_fn(|k| between(MEAN + k, f32::from(half(k)) / STEPS_16)),
                 log_scale: std::array::from_fn(|k| {
@@ -251,7 +250,10 @@ pub(super) mod tests {
         let map = wall(6000);
         let quantised = quantised(&map);
         assert_eq!(quantised.count, map.len() - 2 - never_seen(&map));
-        assert_eq!(quantised.bytes.len(), 18 * quantised.count + 72 * quantised.count.div_ceil(CHUNK));
+        assert_eq!(
+            quantised.bytes.len(),
+            18 * quantised.count + 72 * quantised.count.div_ceil(CHUNK)
+        );
         let restored = restored(&quantised, map.activation);
         let (before, after) = (pictures_of(&map), pictures_of(&restored));
         let level = before.iter().sum::<f32>() / before.len() as f32;

@@ -1,10 +1,11 @@
 //! What the page knows beside the Gaussians: camera, frames with their tone, responses, path.
 
+use super::ViewerPage;
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
+use i2slam::FrameEstimate;
 use i2slam::formation::ResponseCurve;
 use i2slam::radiance::gaussian::{ColourActivation, RasterSettings};
-use i2slam::{FrameEstimate, Reconstruction};
 use serde::Serialize;
 
 /// Largest number of frames that one can step through; of longer sequences an even choice.
@@ -30,6 +31,8 @@ pub(super) struct Scene {
     alpha_min: f32,
     alpha_max: f32,
     camera: SceneCamera,
+    /// Direction against gravity.
+    up: [f32; 3],
     frames: Vec<SceneFrame>,
     /// Response curves, one or three tables each; [`response_table`].
     responses: Vec<Vec<String>>,
@@ -71,15 +74,16 @@ struct SceneFrame {
 impl Scene {
     /// The scene of a map of so many Gaussians; `picture` gives the address of the picture of a frame.
     pub(super) fn new(
-        reconstruction: &Reconstruction,
+        page: &ViewerPage<'_>,
         gaussians: usize,
         activation: ColourActivation,
         mut picture: impl FnMut(&FrameEstimate) -> String,
     ) -> Self {
         let settings = RasterSettings::default();
+        let reconstruction = page.reconstruction;
         let camera = &reconstruction.camera;
         let (mut responses, mut used) = (Vec::new(), Vec::new());
-        let chosen = chosen_frames(&reconstruction.frames);
+        let chosen = chosen_frames(page.frames);
         let start = chosen.first().map_or(0.0, |frame| frame.timestamp);
         let mut place_of = |response: usize| {
             used.iter().position(|&known| known == response).unwrap_or_else(|| {
@@ -123,7 +127,8 @@ impl Scene {
                 cy: camera.cy,
             },
             responses,
-            path: path(&reconstruction.frames),
+            up: page.up.to_array().map(|v| v as f32),
+            path: path(page.frames),
         }
     }
 
@@ -221,7 +226,8 @@ mod tests {
         reconstruction.responses.extend([more.clone(), more]);
         reconstruction.frames[5].response = 2;
         let exponential = ColourActivation::Exponential;
-        let scene = Scene::new(&reconstruction, 7, exponential, |_| "</script>".into());
+        let page = ViewerPage::of("x", &reconstruction);
+        let scene = Scene::new(&page, 7, exponential, |_| "</script>".into());
         assert_eq!(scene.responses.len(), 2);
         let places: Vec<usize> = scene.frames.iter().map(|frame| frame.response).collect();
         assert_eq!(places, [0, 0, 0, 0, 1, 0, 0]);

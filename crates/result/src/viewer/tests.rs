@@ -6,7 +6,7 @@ use i2slam::radiance::gaussian::{ColourActivation, GaussianMap, Shape};
 
 fn page(reconstruction: &Reconstruction) -> String {
     let picture = |frame: &FrameEstimate| (frame.index != 4).then(|| Image::new(1000, 40, 3));
-    viewer_page("a <b> sequence", reconstruction, picture).expect("a page")
+    ViewerPage::of("a <b> sequence", reconstruction).html(picture).expect("a page")
 }
 
 /// The text of the element with that identifier.
@@ -43,6 +43,8 @@ fn the_page_holds_map_and_frames() {
     let has_picture = |frame: &serde_json::Value| frame["picture"] != "";
     assert!(frames.iter().all(|frame| has_picture(frame) == (frame["index"] != 4)));
     assert_eq!(scene["tone"], true);
+    let up: Vec<f64> = serde_json::from_value(scene["up"].clone()).expect("a direction");
+    assert!((up.iter().map(|v| v * v).sum::<f64>() - 1.0).abs() < 1e-6 && up[1] < -0.5, "{up:?}");
 }
 
 #[test]
@@ -58,12 +60,15 @@ fn every_part_has_its_place() {
 fn maps_without_gaussians_have_no_page_and_say_why() {
     let mut reconstruction = example(3);
     reconstruction.map = Map::default();
-    let empty = viewer_page("x", &reconstruction, |_| None);
+    let empty = ViewerPage::of("x", &reconstruction).html(|_| None);
     assert_eq!(empty, Err(NoViewer::Empty));
     let mut map = GaussianMap::new(Shape::Isotropic, ColourActivation::Exponential);
     map.means = vec![[0.0; 3]; MAX_GAUSSIANS + 1];
     reconstruction.map = Map::Gaussians(map);
-    let large = viewer_page("x", &reconstruction, |_| None).expect_err("too large");
+    let (frames, up) = (reconstruction.frames.as_slice(), Vec3::new(0.0, -1.0, 0.0));
+    let (title, generator, reconstruction) = ("x", "i2slam", &reconstruction);
+    let page = ViewerPage { title, reconstruction, frames, up, generator };
+    let large = page.html(|_| None).expect_err("too large");
     assert!(large.to_string().contains("4000001 Gaussians"), "{large}");
 }
 

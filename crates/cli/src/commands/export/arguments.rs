@@ -50,6 +50,8 @@ pub(crate) enum Format {
     Nerfstudio,
     /// Gaussians for splat viewers, one file
     Ply,
+    /// The map in 3D for a browser, with the pictures as filmed, one page that needs nothing else
+    Html,
     /// Camera path, one line per frame: time, position, quaternion
     Tum,
     /// Camera path with exposure and white balance, a table
@@ -61,6 +63,7 @@ impl Format {
     pub(super) fn extensions(self) -> &'static [&'static str] {
         match self {
             Self::Ply => &["ply"],
+            Self::Html => &["html", "htm"],
             Self::Colmap | Self::Nerfstudio | Self::Tum | Self::Csv => &[],
         }
     }
@@ -70,7 +73,7 @@ impl Format {
         match self {
             Self::Colmap => Some(colmap::NAMES),
             Self::Nerfstudio => Some(nerfstudio::NAMES),
-            Self::Ply | Self::Tum | Self::Csv => None,
+            Self::Ply | Self::Html | Self::Tum | Self::Csv => None,
         }
     }
 
@@ -100,6 +103,11 @@ impl Export {
             return Err(Failure::Usage(format!(
                 "--crop, --min-opacity and --linear are for the map; {name} holds the path alone"
             )));
+        }
+        if self.format == Format::Html && self.linear {
+            return Err(Failure::usage(
+                "--linear: html always holds linear radiance, and shows it at any exposure",
+            ));
         }
         let (up, linear, keyframes) = (parse_up(&self.up)?, self.linear, self.keyframes);
         Ok(Selection { crop, min_opacity, up, linear, keyframes })

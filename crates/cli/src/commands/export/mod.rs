@@ -5,17 +5,19 @@ mod place;
 
 pub(crate) use arguments::Export;
 
-use crate::console::{counted, print};
+use crate::console::{counted, print, print_status};
 use crate::failure::Failure;
 use crate::interrupt;
 use crate::messages::{note_displaced, note_saved_parts};
 use crate::progress::Progress;
 use crate::result_folder::refuse_non_results;
+use crate::taken_pictures::taken_pictures;
 use arguments::Format;
-use i2slam_result::UnitOfLength;
+use i2slam::dataset::Sequence;
 use i2slam_result::export::{
-    Axes, ExportError, MARK, Scene, Watch, colmap, csv, nerfstudio, ply, tum,
+    Axes, ExportError, MARK, Scene, Watch, colmap, csv, html, nerfstudio, ply, tum,
 };
+use i2slam_result::{RunInput, UnitOfLength};
 use i2slam_storage::{OutputFolder, write_file};
 use std::path::Path;
 
@@ -64,6 +66,7 @@ fn write(arguments: &Export, scene: &Scene, watch: &Watch<'_>) -> Result<String,
             write_file(out, |file| ply::write(file, &splats, Some(&mark("ply"))))?;
             Ok(counted(splats.len(), "Gaussian"))
         }
+        Format::Html => write_page(arguments, scene),
         Format::Tum => {
             write_text(out, &tum(scene, &mark("tum")))?;
             Ok(counted(scene.frames(), "pose"))
@@ -73,6 +76,25 @@ fn write(arguments: &Export, scene: &Scene, watch: &Watch<'_>) -> Result<String,
             Ok(counted(scene.frames(), "frame"))
         }
     }
+}
+
+/// Writes the viewer page, with the pictures of the dataset where it is still there.
+fn write_page(arguments: &Export, scene: &Scene) -> Result<String, Failure> {
+    let input = RunInput::load(&arguments.result)?;
+    let sequence = input.map(|input| Sequence::open(&input.dataset, &input.options)).transpose();
+    let sequence = sequence.unwrap_or_else(|error| {
+        print_status(&format!("warning: the page has no pictures as filmed: {error}"));
+        None
+    });
+    let name = std::path::absolute(&arguments.result).unwrap_or_default();
+    let name = name.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let title = sequence.as_ref().map_or(name, |sequence| sequence.name.clone());
+    let mut taken = sequence.as_ref().map(taken_pictures);
+    let generator = mark("html");
+    let page =
+        html(scene, (&title, &generator), |frame| taken.as_mut().and_then(|load| load(frame)))?;
+    write_text(&arguments.out, &page)?;
+    Ok(format!("{}, {:.1} MB", counted(scene.gaussians(), "Gaussian"), page.len() as f64 * 1e-6))
 }
 
 /// Writes pictures and points as a folder; says how many there are.

@@ -5,8 +5,7 @@ class Navigation {
     const first = scene.frames[0];
     this.view = first ? viewOf(first) : { position: [0, 0, 0], rotation: [1, 0, 0, 0] };
     this.distance = 1;
-    // The mean of the cameras' upward axes stands for the vertical.
-    this.up = unit(scene.frames.reduce((sum, f) => sub(sum, axesOf(f.rotation)[1]), [0, -1e-3, 0]));
+    this.up = scene.up;
     this.listen();
   }
 
