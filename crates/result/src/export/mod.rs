@@ -6,7 +6,10 @@
 
 mod axes;
 pub mod colmap;
+pub mod compressed_ply;
 mod error;
+pub mod glb;
+mod gltf;
 mod level;
 pub mod nerfstudio;
 pub mod ply;

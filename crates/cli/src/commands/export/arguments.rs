@@ -50,6 +50,10 @@ pub(crate) enum Format {
     Nerfstudio,
     /// Gaussians for splat viewers, one file
     Ply,
+    /// The same in a quarter of the room or less, PlayCanvas' layout, one file .compressed.ply
+    CompressedPly,
+    /// Gaussians as glTF (KHR_gaussian_splatting), one file
+    Glb,
     /// Camera path, one line per frame: time, position, quaternion
     Tum,
     /// Camera path with exposure and white balance, a table
@@ -61,6 +65,8 @@ impl Format {
     pub(super) fn extensions(self) -> &'static [&'static str] {
         match self {
             Self::Ply => &["ply"],
+            Self::CompressedPly => &["compressed.ply"],
+            Self::Glb => &["glb"],
             Self::Colmap | Self::Nerfstudio | Self::Tum | Self::Csv => &[],
         }
     }
@@ -70,7 +76,7 @@ impl Format {
         match self {
             Self::Colmap => Some(colmap::NAMES),
             Self::Nerfstudio => Some(nerfstudio::NAMES),
-            Self::Ply | Self::Tum | Self::Csv => None,
+            Self::Ply | Self::CompressedPly | Self::Glb | Self::Tum | Self::Csv => None,
         }
     }
 

@@ -14,7 +14,7 @@ use crate::result_folder::refuse_non_results;
 use arguments::Format;
 use i2slam_result::UnitOfLength;
 use i2slam_result::export::{
-    Axes, ExportError, MARK, Scene, Watch, colmap, csv, nerfstudio, ply, tum,
+    Axes, ExportError, MARK, Scene, Watch, colmap, compressed_ply, csv, glb, nerfstudio, ply, tum,
 };
 use i2slam_storage::{OutputFolder, write_file};
 use std::path::Path;
@@ -62,6 +62,16 @@ fn write(arguments: &Export, scene: &Scene, watch: &Watch<'_>) -> Result<String,
         Format::Ply => {
             let splats = scene.splats(Axes::YDown)?;
             write_file(out, |file| ply::write(file, &splats, Some(&mark("ply"))))?;
+            Ok(counted(splats.len(), "Gaussian"))
+        }
+        Format::CompressedPly => {
+            let splats = scene.splats(Axes::YDown)?;
+            write_file(out, |file| compressed_ply::write(file, &splats, &mark("compressed-ply")))?;
+            Ok(counted(splats.len(), "Gaussian"))
+        }
+        Format::Glb => {
+            let splats = scene.splats(Axes::YUp)?;
+            write_file(out, |file| glb::write(file, &splats, arguments.linear, &mark("glb")))?;
             Ok(counted(splats.len(), "Gaussian"))
         }
         Format::Tum => {
