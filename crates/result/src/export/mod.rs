@@ -11,6 +11,7 @@ mod error;
 pub mod glb;
 mod gltf;
 mod level;
+pub mod mesh;
 pub mod nerfstudio;
 pub mod ply;
 mod scene;

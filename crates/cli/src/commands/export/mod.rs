@@ -14,7 +14,8 @@ use crate::result_folder::refuse_non_results;
 use arguments::Format;
 use i2slam_result::UnitOfLength;
 use i2slam_result::export::{
-    Axes, ExportError, MARK, Scene, Watch, colmap, compressed_ply, csv, glb, nerfstudio, ply, tum,
+    Axes, ExportError, MARK, Scene, Watch, colmap, compressed_ply, csv, glb, mesh, nerfstudio, ply,
+    tum,
 };
 use i2slam_storage::{OutputFolder, write_file};
 use std::path::Path;
@@ -74,6 +75,7 @@ fn write(arguments: &Export, scene: &Scene, watch: &Watch<'_>) -> Result<String,
             write_file(out, |file| glb::write(file, &splats, arguments.linear, &mark("glb")))?;
             Ok(counted(splats.len(), "Gaussian"))
         }
+        Format::Mesh => write_mesh(arguments, scene, watch),
         Format::Tum => {
             write_text(out, &tum(scene, &mark("tum")))?;
             Ok(counted(scene.frames(), "pose"))
@@ -96,6 +98,17 @@ fn write_folder(
     let points = content(&folder)?;
     note_displaced(&folder.commit_or_save()?);
     Ok(format!("{} and {}", counted(scene.frames(), "picture"), counted(points, "point")))
+}
+
+fn write_mesh(arguments: &Export, scene: &Scene, watch: &Watch<'_>) -> Result<String, Failure> {
+    let (mesh, voxel) = mesh::build(scene, arguments.voxel, watch)?;
+    let (out, mark) = (&arguments.out, mark("mesh"));
+    let is_ply = out.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("ply"));
+    write_file(out, |file| match is_ply {
+        true => mesh::write_ply(file, &mesh, scene, &mark),
+        false => mesh::write_glb(file, &mesh, scene, &mark),
+    })?;
+    Ok(format!("{}, voxels of {voxel:.4}", counted(mesh.triangles(), "triangle")))
 }
 
 fn write_text(out: &Path, text: &str) -> Result<(), Failure> {
