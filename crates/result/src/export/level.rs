@@ -55,7 +55,32 @@ fn estimate(reconstruction: &Reconstruction) -> Option<Vec3<f64>> {
         let pose = poses[(2 * view + 1) * poses.len() / (2 * views)];
         normals.extend(normals_of(&viewer.depth(pose), &reconstruction.camera, pose));
     }
-    Some(up_of_surfaces(&normals, first))
+    Some(best_up(&normals, &poses, first))
+}
+
+/// Up by surfaces, from the first guess and from what is up in some pictures: a camera that tilts
+/// far without a turn has a mean far off. Of the directions that surfaces bear out about as well, the
+/// one from which cameras are tilted least; people look down more often than up.
+fn best_up(normals: &[Vec3<f64>], poses: &[Pose<f64>], first: Vec3<f64>) -> Vec3<f64> {
+    let apart = poses.len().div_ceil(VIEWS).max(1);
+    let of_pictures = poses.iter().step_by(apart).map(|p| p.rotation.rotate(LEVEL_UP));
+    let ups: Vec<Vec3<f64>> = std::iter::once(first)
+        .chain(of_pictures)
+        .map(|start| up_of_surfaces(normals, start))
+        .collect();
+    let support = |up: Vec3<f64>| {
+        let (near, upright) = (WINDOWS[2].to_radians().cos(), WINDOWS[2].to_radians().sin());
+        let holds = |n: &&Vec3<f64>| !(upright..=near).contains(&n.dot(up).abs());
+        normals.iter().filter(holds).count() as f64 / normals.len().max(1) as f64
+    };
+    let tilt = |up: Vec3<f64>| {
+        let forward = Vec3::new(0.0, 0.0, 1.0);
+        let pitches = poses.iter().map(|pose| pose.rotation.rotate(forward).dot(up).asin());
+        pitches.map(|pitch| if pitch > 0.0 { 2.0 * pitch } else { -pitch }).sum::<f64>()
+    };
+    let most = ups.iter().map(|&up| support(up)).fold(MIN_SHARE, f64::max);
+    let borne_out = ups.iter().copied().filter(|&up| support(up) >= 0.8 * most);
+    borne_out.min_by(|&a, &b| tilt(a).total_cmp(&tilt(b))).unwrap_or(first)
 }
 
 /// Up by the cameras alone: perpendicular to their right axes where these span a plane, as those of
@@ -200,6 +225,30 @@ mod tests {
         // One wall, or hardly a surface that lies or stands: the first guess stays.
         assert_eq!(up_of_surfaces(&[walls[0]; 40], first), first);
         assert_eq!(up_of_surfaces(&[], first), first);
+    }
+
+    #[test]
+    fn a_camera_that_tilts_without_a_turn_is_righted_by_surfaces() {
+        // From level to 60 degrees down, before a wall and over a table, in a world tilted by 5 degrees.
+        let world = Rotation::exp(Vec3::new(0.05, 0.0, 0.07));
+        let poses: Vec<_> = (0..13)
+            .map(|i| {
+                let Pose { rotation, translation } =
+                    pitched(0.0, -5.0_f64.to_radians() * f64::from(i));
+                Pose::new(world * rotation, translation)
+            })
+            .collect();
+        let (wall, table) = (Vec3::new(0.0, 0.0, -1.0), LEVEL_UP);
+        let normals: Vec<_> = [wall, table, Vec3::new(1.0, 0.0, 0.0)]
+            .iter()
+            .flat_map(|&normal| vec![world.rotate(normal); 20])
+            .collect();
+        let first = up_of_cameras(&poses).expect("poses");
+        let truth = world.rotate(LEVEL_UP);
+        assert!(degrees(first, truth) > 25.0);
+        let up = best_up(&normals, &poses, first);
+        assert!(degrees(up, truth) < 0.1, "{up:?}");
+        assert_eq!(best_up(&[], &poses, first), first);
     }
 
     #[test]

@@ -6,9 +6,13 @@
 
 mod axes;
 pub mod colmap;
+pub mod compressed_ply;
 mod error;
+pub mod glb;
+mod gltf;
 mod html;
 pub(crate) mod level;
+pub mod mesh;
 pub mod nerfstudio;
 pub mod ply;
 mod scene;

@@ -1,8 +1,8 @@
 //! Surface points with the pictures that see them, sampled from the depth of the map.
 //!
-//! Every picture is divided into cells. A point that an earlier picture brought and that lies on the
-//! surface of this one fills the cell where it is seen; every other cell brings a new point. Points are
-//! thus spread evenly, and seen by all pictures from their first one on.
+//! Every picture is divided into cells. The first point that an earlier picture brought and that lies on
+//! the surface of this one fills the cell where it is seen; every other cell brings a new point. Points are
+//! thus spread evenly, and a picture has one observation in a cell at most.
 
 use i2slam::geometry::{Camera, Image, Pose, Vec3};
 
@@ -70,8 +70,10 @@ impl SeedPoints {
         for (point, SeedPoint { position, .. }) in self.points.iter().enumerate() {
             let local = camera_from_world * *position;
             let Some(at) = seen_at(&camera, view.depth, local) else { continue };
-            filled[at.1 as usize / cell * columns + at.0 as usize / cell] = true;
-            seen.push(Observation { at, point });
+            let place = &mut filled[at.1 as usize / cell * columns + at.0 as usize / cell];
+            if !std::mem::replace(place, true) {
+                seen.push(Observation { at, point });
+            }
         }
         for empty in (0..filled.len()).filter(|&i| !filled[i]) {
             let (column, row) =

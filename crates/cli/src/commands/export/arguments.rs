@@ -31,6 +31,10 @@ pub(crate) struct Export {
     /// direction in that world
     #[arg(long, value_name = "\"x y z\"", default_value = "estimate", allow_hyphen_values = true)]
     pub(crate) up: String,
+    /// Size of the voxels of a mesh [m, or the unit of the result] [default: that of a pixel at the
+    /// median depth]
+    #[arg(long, value_name = "SIZE", allow_negative_numbers = true)]
+    pub(crate) voxel: Option<f64>,
     /// Colours as linear radiance, not as a picture
     #[arg(long)]
     pub(crate) linear: bool,
@@ -52,6 +56,12 @@ pub(crate) enum Format {
     Ply,
     /// The map in 3D for a browser, with the pictures as filmed, one page that needs nothing else
     Html,
+    /// The same in a quarter of the room or less, PlayCanvas' layout, one file .compressed.ply
+    CompressedPly,
+    /// Gaussians as glTF (KHR_gaussian_splatting), one file
+    Glb,
+    /// Triangles of the surface with colours, one file .ply or .glb
+    Mesh,
     /// Camera path, one line per frame: time, position, quaternion
     Tum,
     /// Camera path with exposure and white balance, a table
@@ -64,6 +74,9 @@ impl Format {
         match self {
             Self::Ply => &["ply"],
             Self::Html => &["html", "htm"],
+            Self::CompressedPly => &["compressed.ply"],
+            Self::Glb => &["glb"],
+            Self::Mesh => &["ply", "glb"],
             Self::Colmap | Self::Nerfstudio | Self::Tum | Self::Csv => &[],
         }
     }
@@ -73,13 +86,8 @@ impl Format {
         match self {
             Self::Colmap => Some(colmap::NAMES),
             Self::Nerfstudio => Some(nerfstudio::NAMES),
-            Self::Ply | Self::Html | Self::Tum | Self::Csv => None,
+            _ => None,
         }
-    }
-
-    /// What a cut of the map does not change.
-    fn is_path_alone(self) -> bool {
-        matches!(self, Self::Tum | Self::Csv)
     }
 
     /// Name on the command line.
@@ -97,20 +105,37 @@ impl Export {
             return Err(Failure::Usage(message));
         }
         let crop = self.crop.as_deref().map(parse_crop).transpose()?;
-        let is_cut = crop.is_some() || self.min_opacity.is_some() || self.linear;
-        if self.format.is_path_alone() && is_cut {
-            let name = self.format.name();
-            return Err(Failure::Usage(format!(
-                "--crop, --min-opacity and --linear are for the map; {name} holds the path alone"
-            )));
-        }
-        if self.format == Format::Html && self.linear {
-            return Err(Failure::usage(
-                "--linear: html always holds linear radiance, and shows it at any exposure",
-            ));
-        }
+        self.check_flags_of_formats()?;
         let (up, linear, keyframes) = (parse_up(&self.up)?, self.linear, self.keyframes);
         Ok(Selection { crop, min_opacity, up, linear, keyframes })
+    }
+}
+
+impl Export {
+    /// Refuses flags that the format has no use for.
+    fn check_flags_of_formats(&self) -> Result<(), Failure> {
+        let format = self.format;
+        let is_cut = self.crop.is_some() || self.min_opacity.is_some();
+        if is_cut && matches!(format, Format::Tum | Format::Csv) {
+            let name = format.name();
+            return Err(Failure::Usage(format!(
+                "--crop and --min-opacity cut the map; {name} holds the path alone"
+            )));
+        }
+        if self.linear && matches!(format, Format::Mesh | Format::Html | Format::Tum | Format::Csv)
+        {
+            return Err(Failure::Usage(format!("--linear is not for {}", format.name())));
+        }
+        match self.voxel {
+            None => Ok(()),
+            Some(_) if format != Format::Mesh => {
+                Err(Failure::Usage("--voxel is for --format mesh".to_owned()))
+            }
+            Some(size) if size.is_finite() && size > 0.0 => Ok(()),
+            Some(size) => {
+                Err(Failure::Usage(format!("--voxel {size}: expected a size above zero")))
+            }
+        }
     }
 }
 

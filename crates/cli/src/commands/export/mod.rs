@@ -1,23 +1,23 @@
 //! `i2slam export`: a result in the format of another program.
 
 mod arguments;
+mod page;
 mod place;
 
 pub(crate) use arguments::Export;
 
-use crate::console::{counted, print, print_status};
+use crate::console::{counted, print};
 use crate::failure::Failure;
 use crate::interrupt;
 use crate::messages::{note_displaced, note_saved_parts};
 use crate::progress::Progress;
 use crate::result_folder::refuse_non_results;
-use crate::taken_pictures::taken_pictures;
 use arguments::Format;
-use i2slam::dataset::Sequence;
+use i2slam_result::UnitOfLength;
 use i2slam_result::export::{
-    Axes, ExportError, MARK, Scene, Watch, colmap, csv, html, nerfstudio, ply, tum,
+    Axes, ExportError, MARK, Scene, Watch, colmap, compressed_ply, csv, glb, mesh, nerfstudio, ply,
+    tum,
 };
-use i2slam_result::{RunInput, UnitOfLength};
 use i2slam_storage::{OutputFolder, write_file};
 use std::path::Path;
 
@@ -66,7 +66,18 @@ fn write(arguments: &Export, scene: &Scene, watch: &Watch<'_>) -> Result<String,
             write_file(out, |file| ply::write(file, &splats, Some(&mark("ply"))))?;
             Ok(counted(splats.len(), "Gaussian"))
         }
-        Format::Html => write_page(arguments, scene),
+        Format::Html => page::write(arguments, scene),
+        Format::CompressedPly => {
+            let splats = scene.splats(Axes::YDown)?;
+            write_file(out, |file| compressed_ply::write(file, &splats, &mark("compressed-ply")))?;
+            Ok(counted(splats.len(), "Gaussian"))
+        }
+        Format::Glb => {
+            let splats = scene.splats(Axes::YUp)?;
+            write_file(out, |file| glb::write(file, &splats, arguments.linear, &mark("glb")))?;
+            Ok(counted(splats.len(), "Gaussian"))
+        }
+        Format::Mesh => write_mesh(arguments, scene, watch),
         Format::Tum => {
             write_text(out, &tum(scene, &mark("tum")))?;
             Ok(counted(scene.frames(), "pose"))
@@ -76,25 +87,6 @@ fn write(arguments: &Export, scene: &Scene, watch: &Watch<'_>) -> Result<String,
             Ok(counted(scene.frames(), "frame"))
         }
     }
-}
-
-/// Writes the viewer page, with the pictures of the dataset where it is still there.
-fn write_page(arguments: &Export, scene: &Scene) -> Result<String, Failure> {
-    let input = RunInput::load(&arguments.result)?;
-    let sequence = input.map(|input| Sequence::open(&input.dataset, &input.options)).transpose();
-    let sequence = sequence.unwrap_or_else(|error| {
-        print_status(&format!("warning: the page has no pictures as filmed: {error}"));
-        None
-    });
-    let name = std::path::absolute(&arguments.result).unwrap_or_default();
-    let name = name.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    let title = sequence.as_ref().map_or(name, |sequence| sequence.name.clone());
-    let mut taken = sequence.as_ref().map(taken_pictures);
-    let generator = mark("html");
-    let page =
-        html(scene, (&title, &generator), |frame| taken.as_mut().and_then(|load| load(frame)))?;
-    write_text(&arguments.out, &page)?;
-    Ok(format!("{}, {:.1} MB", counted(scene.gaussians(), "Gaussian"), page.len() as f64 * 1e-6))
 }
 
 /// Writes pictures and points as a folder; says how many there are.
@@ -108,6 +100,17 @@ fn write_folder(
     let points = content(&folder)?;
     note_displaced(&folder.commit_or_save()?);
     Ok(format!("{} and {}", counted(scene.frames(), "picture"), counted(points, "point")))
+}
+
+fn write_mesh(arguments: &Export, scene: &Scene, watch: &Watch<'_>) -> Result<String, Failure> {
+    let (mesh, voxel) = mesh::build(scene, arguments.voxel, watch)?;
+    let (out, mark) = (&arguments.out, mark("mesh"));
+    let is_ply = out.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("ply"));
+    write_file(out, |file| match is_ply {
+        true => mesh::write_ply(file, &mesh, scene, &mark),
+        false => mesh::write_glb(file, &mesh, scene, &mark),
+    })?;
+    Ok(format!("{}, voxels of {voxel:.4}", counted(mesh.triangles(), "triangle")))
 }
 
 fn write_text(out: &Path, text: &str) -> Result<(), Failure> {

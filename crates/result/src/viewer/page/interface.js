@@ -42,10 +42,15 @@ const service = startService(message => {
   if (!(message.depth > 0)) return;
   if (message.pivot === "scene") {
     navigation.sceneScale = message.depth;
-    renderer?.setLines(...Object.values(lineWork(scene, 0.07 * message.depth)));
+    showLines();
   }
   navigation.distance = message.depth;
 });
+
+function showLines() {
+  const { points, strengths } = lineWork(scene, 0.06 * navigation.scale, state.frame);
+  renderer?.setLines(points, strengths);
+}
 
 function askPivot(id = "view") {
   const { view } = navigation;
@@ -80,7 +85,7 @@ function lens(quality) {
 }
 
 function requestSort({ size, focal, principal }) {
-  const { view } = navigation, key = JSON.stringify([view, size]);
+  const { view } = navigation, key = JSON.stringify([view, stage.clientWidth, stage.clientHeight]);
   if (sorting || sorted === key) return;
   sorting = key;
   const side = (axis, end) => (end * size[axis] - principal[axis]) / focal[axis];
@@ -268,11 +273,11 @@ function showPlace() {
     left: left + "px", top: top + "px", width: width + "px", height: camera.height * scale + "px",
     clipPath: `inset(0 ${100 - state.cut}% 0 0)`,
   });
-  const at = left + width * state.cut / 100;
+  const at = left + width * state.cut / 100, lower = top + camera.height * scale - 10;
   Object.assign($("bar").style, { left: at + "px", top: top + "px", height: camera.height * scale + "px" });
   $("bar").ariaValueNow = Math.round(state.cut);
-  Object.assign($("before").style, { left: left + 10 + "px", top: top + 10 + "px" });
-  Object.assign($("after").style, { left: left + width - 10 + "px", top: top + 10 + "px" });
+  Object.assign($("before").style, { left: left + 10 + "px", top: lower + "px" });
+  Object.assign($("after").style, { left: left + width - 10 + "px", top: lower + "px" });
 }
 
 function showFrame() {
@@ -286,6 +291,7 @@ function showFrame() {
   $("play").ariaPressed = playing;
   $("play").ariaLabel = $("play").textContent = playing ? "Pause" : "Play";
   picture(state.frame + 1);
+  showLines();
   showResponse();
   showTone();
 }

@@ -165,32 +165,37 @@ function overview(frames, distance, up) {
   const spread = Math.max(...frames.map(f => Math.hypot(...sub(f.position, middle))));
   const target = add(middle, scaled(forward, 0.6 * distance));
   const back = 0.7 * distance + 2 * spread;
-  const position = add(middle, add(scaled(forward, -back), scaled(up, 0.55 * back)));
+  const position = add(middle, add(scaled(forward, -back), scaled(up, 0.4 * back)));
   const z = unit(sub(target, position)), x = unit(cross(z, up));
   return { position, rotation: quaternionOf([x, cross(z, x), z]) };
 }
 
-// Segments of the path and of the cameras, as pyramids with a mark at the upper edge.
-function lineWork(scene, size) {
+// Segments of the path and of the cameras, as pyramids with a mark at the upper edge; the current one
+// is brighter.
+function lineWork(scene, size, current) {
   const points = [], strengths = [];
   const segment = (a, b, strength) => {
     points.push(...a, ...b);
     strengths.push(strength, strength);
   };
-  scene.path.slice(1).forEach((point, i) => segment(scene.path[i], point, 0.9));
+  scene.path.slice(1).forEach((point, i) => segment(scene.path[i], point, 0.8));
   const { width, height, fx, fy, cx, cy } = scene.camera;
-  const shown = Math.max(1, Math.ceil(scene.frames.length / 40));
+  const apart = Math.ceil(scene.frames.length / MAX_PYRAMIDS);
   scene.frames.forEach((frame, i) => {
-    if (i % shown) return;
+    if (i % apart && i !== current) return;
+    const strength = i === current ? 1 : 0.35;
     const corner = (u, v) => add(frame.position, turned(frame.rotation, scaled([(u - cx) / fx, (v - cy) / fy, 1], size)));
     const corners = [corner(0, 0), corner(width, 0), corner(width, height), corner(0, height)];
     corners.forEach((c, k) => {
-      segment(frame.position, c, 0.5);
-      segment(c, corners[(k + 1) % 4], 0.5);
+      segment(frame.position, c, strength);
+      segment(c, corners[(k + 1) % 4], strength);
     });
     const top = corner(width / 2, -0.18 * height);
-    segment(corners[0], top, 0.5);
-    segment(top, corners[1], 0.5);
+    segment(corners[0], top, strength);
+    segment(top, corners[1], strength);
   });
   return { points, strengths };
 }
+
+// Cameras that are drawn: more would hide each other.
+const MAX_PYRAMIDS = 24;

@@ -93,6 +93,7 @@ class Renderer {
   // Line segments: points (3 numbers) and how visible each is.
   setLines(points, strengths) {
     this.lines = strengths.length;
+    if (this.segments) this.gl.deleteVertexArray(this.segments);
     this.segments = this.vertices(() => {
       this.attribute(0, 3, new Float32Array(points));
       this.attribute(1, 1, new Float32Array(strengths));
