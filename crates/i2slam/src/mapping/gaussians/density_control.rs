@@ -2,6 +2,7 @@
 
 use super::flat_gaussians::EDGE_DEVIATION;
 use super::partition::MAX_SIZE;
+use super::visibility::SurfaceView;
 use crate::config::GaussianParameters;
 use crate::keyframes::project_rolling;
 use crate::objective::Observation;
@@ -141,6 +142,12 @@ pub(super) fn ball(
 }
 
 impl SourceFrame<'_> {
+    /// The surface that is seen at the pose of the depth picture.
+    pub(super) fn surface<'a>(&'a self, render: &'a Render) -> SurfaceView<'a> {
+        let camera_from_world = self.world_from_depth.inverse();
+        SurfaceView { camera: self.camera, camera_from_world, render }
+    }
+
     /// Point of the surface at a pixel, in the camera when the depth picture was taken, and its
     /// radiance.
     pub(super) fn surface_point(&self, pixel: usize) -> Option<(Vec3<f64>, [f32; 3])> {

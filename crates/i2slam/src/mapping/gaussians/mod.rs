@@ -8,6 +8,7 @@ mod optimizer;
 mod partition;
 mod scale_bounds;
 mod splitting;
+mod visibility;
 
 use super::context::IterationBudget;
 use super::context::{MappingContext, OnStep};
@@ -129,6 +130,7 @@ impl GaussianMapper {
         let prediction = self.predict(context, (keyframe, &observation), curve.as_ref());
         let source = source_frame(context, keyframe, &observation, curve.as_ref(), Some(&render));
         let (map, bounds) = (&mut self.current.map, &mut self.scale_bounds);
+        source.surface(&render).lower_bounds(map, bounds);
         let views = (&render, &prediction);
         let origins = split_gaussians(map, bounds, &source, views, &partition(&source));
         self.anchors.inherit(&origins);
@@ -230,12 +232,16 @@ impl Mapper for GaussianMapper {
                 vec![true; observation.depth.data.len()]
             }
         };
+        let is_keyframe = context.is_keyframe(current.frame);
         let map = &mut self.current.map;
         match map.shape {
             Shape::Isotropic => push_balls(map, parameters, &source, &wanted),
             Shape::Anisotropic => {
                 let (rectangles, bounds) =
                     (partition(&source).rectangles(&wanted), &mut self.scale_bounds);
+                if let Some(render) = render.as_ref().filter(|_| is_keyframe) {
+                    source.surface(render).lower_bounds(map, bounds);
+                }
                 push_flat_gaussians(map, bounds, parameters, &source, &rectangles);
             }
         }

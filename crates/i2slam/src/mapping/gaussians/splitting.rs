@@ -9,8 +9,9 @@ use super::density_control::{SourceFrame, radiance_of_point};
 use super::flat_gaussians::EDGE_DEVIATION;
 use super::partition::Partition;
 use super::scale_bounds::ScaleBounds;
+use super::visibility::{SurfaceView, pixel_at};
 use crate::keyframes::project_rolling;
-use i2slam_geometry::{Camera, Image, Mat3, Pose, Rotation, Vec3};
+use i2slam_geometry::{Image, Mat3, Rotation, Vec3};
 use i2slam_radiance::Render;
 use i2slam_radiance::gaussian::GaussianMap;
 
@@ -18,9 +19,6 @@ use i2slam_radiance::gaussian::GaussianMap;
 const MAX_ERROR: f32 = 4.0;
 /// Shift of the picture that explains an error [px].
 const MAX_SHIFT: f32 = 0.5;
-/// Distance between a Gaussian and the rendered surface up to which it counts as seen, as a share of
-/// its depth.
-const MAX_DEPTH_DIFFERENCE: f32 = 0.02;
 /// Deviation over that of a Gaussian of the size asked for, from which on one is split.
 const MAX_SIZE_RATIO: f32 = 2.4;
 /// Deviation of the halves along the axis that is split, and their distance from the middle, in
@@ -93,8 +91,7 @@ fn wrong_pixels(colour: &Image<f32>, prediction: &Image<f32>, limit: f32) -> Vec
 }
 
 /// Splits the Gaussians on the rendered surface that are larger than the picture asks for where it
-/// differs from its prediction, and lowers the least size of those that are seen from nearer than
-/// before. Returns the index of the one that each appended Gaussian came from.
+/// differs from its prediction. Returns the index of the one that each appended Gaussian came from.
 pub(super) fn split_gaussians(
     map: &mut GaussianMap,
     bounds: &mut ScaleBounds,
@@ -105,13 +102,10 @@ pub(super) fn split_gaussians(
     let splitter = Splitter {
         demand: Demand::new(&source.observation.colour, prediction, partition),
         source,
-        render,
-        camera_from_world: source.world_from_depth.inverse(),
+        surface: source.surface(render),
     };
     let mut origins = Vec::new();
     for origin in 0..map.len() {
-        let Some(seen) = splitter.seen(map, origin) else { continue };
-        bounds.see(origin, seen.z as f32 / source.camera.fx as f32);
         let mut waiting = vec![(origin, 0)];
         while let Some((index, generation)) = waiting.pop() {
             if let Some(axis) = splitter.axis_to_split(map, index) {
@@ -130,25 +124,14 @@ pub(super) fn split_gaussians(
 struct Splitter<'a> {
     demand: Demand,
     source: &'a SourceFrame<'a>,
-    render: &'a Render,
-    camera_from_world: Pose<f64>,
+    /// At the pose of the depth picture.
+    surface: SurfaceView<'a>,
 }
 
 impl Splitter<'_> {
-    /// Centre of a Gaussian on the rendered surface, in the camera when the depth picture was taken [m].
-    fn seen(&self, map: &GaussianMap, index: usize) -> Option<Vec3<f64>> {
-        let camera = self.source.camera;
-        let point = self.camera_from_world * Vec3::from_array(map.means[index]).cast::<f64>();
-        let [column, row] = (point.z > 0.0).then(|| pixel_at(camera, camera.project(point)))??;
-        let at = row * camera.width + column;
-        let surface = self.render.depth.data[at] / self.render.opacity.data[at];
-        let z = point.z as f32;
-        ((z - surface).abs() <= MAX_DEPTH_DIFFERENCE * z).then_some(point)
-    }
-
     /// The axis of a Gaussian that is longest in the picture, if it is seen and too long.
     fn axis_to_split(&self, map: &GaussianMap, index: usize) -> Option<usize> {
-        let point = self.seen(map, index)?;
+        let point = self.surface.seen(map, index)?;
         let pixel = self.colour_pixel(point)?;
         let lengths = self.lengths(map, index, point);
         let axis = (0..3).max_by(|&a, &b| lengths[a].total_cmp(&lengths[b]))?;
@@ -167,7 +150,7 @@ impl Splitter<'_> {
     /// Standard deviations along the axes of a Gaussian at a point of the camera, in the picture [px].
     fn lengths(&self, map: &GaussianMap, index: usize, point: Vec3<f64>) -> [f32; 3] {
         let camera = self.source.camera;
-        let axes = self.camera_from_world.rotation.matrix() * axes(map.rotations[index]);
+        let axes = self.surface.camera_from_world.rotation.matrix() * axes(map.rotations[index]);
         let ray = point * (1.0 / point.z);
         [0, 1, 2].map(|axis| {
             let [x, y, z] = [0, 1, 2].map(|row| axes[(row, axis)]);
@@ -183,7 +166,7 @@ impl Splitter<'_> {
         let distance = HALF * other.log_scale[axis].exp();
         let offset = [0, 1, 2].map(|row| distance * axes[(row, axis)] as f32);
         other.log_scale[axis] += HALF.ln();
-        let colour_from_world = self.source.colour_from_depth * self.camera_from_world;
+        let colour_from_world = self.source.colour_from_depth * self.surface.camera_from_world;
         let [first, second] = [-1.0, 1.0].map(|side| {
             let mean: [f32; 3] = std::array::from_fn(|k| other.mean[k] + side * offset[k]);
             let point = colour_from_world * Vec3::from_array(mean).cast::<f64>();
@@ -205,18 +188,11 @@ fn axes(rotation: [f32; 4]) -> Mat3<f64> {
     Rotation::from_wxyz(w, x, y, z).unwrap_or_else(Rotation::identity).matrix()
 }
 
-/// Column and row of the pixel at an image position, if it lies in the picture.
-fn pixel_at(camera: &Camera<f64>, (u, v): (f64, f64)) -> Option<[usize; 2]> {
-    let (column, row) = (u as usize, v as usize);
-    let is_inside = camera.contains(u, v, 0.0) && column < camera.width && row < camera.height;
-    is_inside.then_some([column, row])
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::objective::Observation;
-    use i2slam_geometry::{Image, Tangent};
+    use i2slam_geometry::{Camera, Image, Pose, Tangent};
     use i2slam_radiance::RadianceMap;
     use i2slam_radiance::gaussian::{
         ColourActivation, Gaussian, RasterSettings, Rasterizer, Shape, View,
