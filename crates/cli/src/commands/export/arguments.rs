@@ -60,6 +60,8 @@ pub(crate) enum Format {
     Glb,
     /// Triangles of the surface with colours, one file .ply or .glb
     Mesh,
+    /// Flight along the smoothed path of the camera, one file .mp4, made by ffmpeg
+    Video,
     /// Camera path, one line per frame: time, position, quaternion
     Tum,
     /// Camera path with exposure and white balance, a table
@@ -74,6 +76,7 @@ impl Format {
             Self::CompressedPly => &["compressed.ply"],
             Self::Glb => &["glb"],
             Self::Mesh => &["ply", "glb"],
+            Self::Video => &["mp4"],
             Self::Colmap | Self::Nerfstudio | Self::Tum | Self::Csv => &[],
         }
     }
@@ -119,7 +122,8 @@ impl Export {
                 "--crop and --min-opacity cut the map; {name} holds the path alone"
             )));
         }
-        if self.linear && matches!(format, Format::Mesh | Format::Tum | Format::Csv) {
+        if self.linear && matches!(format, Format::Mesh | Format::Video | Format::Tum | Format::Csv)
+        {
             return Err(Failure::Usage(format!("--linear is not for {}", format.name())));
         }
         match self.voxel {

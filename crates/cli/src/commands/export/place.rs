@@ -8,7 +8,7 @@ use std::io::Read;
 use std::path::Path;
 
 /// Beginning of a file in which its mark stands [bytes].
-const HEAD: u64 = 4096;
+const HEAD: u64 = 1 << 20;
 
 /// Checks that the export may be written, before any work.
 pub(super) fn check(arguments: &Export) -> Result<(), Failure> {
