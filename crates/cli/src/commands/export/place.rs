@@ -28,7 +28,7 @@ pub(super) fn claim(arguments: &Export, names: &'static [&'static str]) -> Claim
 fn check_extension(format: Format, out: &Path) -> Result<(), Failure> {
     let due = format.extensions();
     let name = out.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
-    let fits = |extension: &&str| name.ends_with(&format!(".{extension}"));
+    let fits = |extension: &str| name.ends_with(&format!(".{extension}"));
     if due.is_empty() || due.iter().any(|extension| fits(extension)) {
         return Ok(());
     }
