@@ -33,9 +33,9 @@ pub enum DatasetError {
         /// Known layouts, one per line.
         known: String,
     },
-    /// ffmpeg, which decodes videos, cannot be started.
+    /// ffmpeg, which decodes and encodes videos, cannot be started.
     #[error(
-        "a video needs the program ffmpeg to decode it, and {} cannot be started ({source}){}: \
+        "a video needs the program ffmpeg, and {} cannot be started ({source}){}: \
          install it ({}), or set I2SLAM_FFMPEG to where it is",
         program.display(), if *.named { ", as I2SLAM_FFMPEG names it" } else { "" }, INSTALL
     )]

@@ -42,4 +42,4 @@ pub use sequence::{
     DepthPicture, Frame, FrameStream, LiveFrameStream, LiveSequence, RecordedSequence, Sequence,
     is_without_depth,
 };
-pub use video::{MAX_RECORDING_BYTES, is_stream, is_video};
+pub use video::{MAX_RECORDING_BYTES, VideoEncoder, VideoFormat, is_stream, is_video};

@@ -1,6 +1,7 @@
 //! Calls of the program `ffmpeg`.
 
 use super::allowed::Allowed;
+use super::encode::VideoFormat;
 use super::ffmpeg_log::FfmpegLog;
 use super::track::{Pictures, Track};
 use crate::DatasetError;
@@ -133,6 +134,40 @@ impl Ffmpeg {
             command.stdin(Stdio::inherit());
         }
         self.start(command.stdout(Stdio::piped()))
+    }
+
+    /// Starts encoding pictures from standard input to a new MP4 file.
+    pub(super) fn encode(
+        &self,
+        path: &Path,
+        format: VideoFormat<'_>,
+    ) -> Result<Child, DatasetError> {
+        let has_h264 = self.has_encoder("libx264")?;
+        let codec: &[&str] = match has_h264 {
+            true => &["-c:v", "libx264", "-crf", "18"],
+            false => &["-c:v", "mpeg4", "-q:v", "2"],
+        };
+        let (width, height) = format.size;
+        let whole = std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf());
+        let mut command = Command::new(&self.program);
+        command.args(["-hide_banner", "-nostats", "-v", "error", "-n", "-f", "rawvideo"]);
+        command.args(["-pix_fmt", "rgb24", "-s", &format!("{width}x{height}")]);
+        command.args(["-r", &format.rate.to_string(), "-i", "-"]);
+        command.args(["-vf", "crop=trunc(iw/2)*2:trunc(ih/2)*2:0:0", "-pix_fmt", "yuv420p"]);
+        command.args(codec).args(["-movflags", "+faststart"]);
+        command.args(["-metadata", &format!("comment={}", format.comment), "-f", "mp4"]);
+        command.arg(whole).stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::piped());
+        detach_from_terminal(&mut command);
+        self.start(&mut command)
+    }
+
+    fn has_encoder(&self, name: &str) -> Result<bool, DatasetError> {
+        let mut command = Command::new(&self.program);
+        command.args(["-hide_banner", "-v", "error", "-encoders"]).stdin(Stdio::null());
+        command.stdout(Stdio::piped()).stderr(Stdio::null());
+        detach_from_terminal(&mut command);
+        let list = self.start(&mut command)?.wait_with_output();
+        Ok(list.is_ok_and(|list| String::from_utf8_lossy(&list.stdout).contains(name)))
     }
 
     fn command(&self, level: &str, (path, track): (&Path, Track), filter: &str) -> Command {

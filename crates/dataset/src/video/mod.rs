@@ -4,6 +4,7 @@
 //! piped from ffmpeg on demand ([`frame_reader`]), and nothing is written to disk.
 
 mod allowed;
+mod encode;
 mod ffmpeg;
 mod ffmpeg_log;
 mod frame_reader;
@@ -22,6 +23,7 @@ use std::path::{Path, PathBuf};
 use timestamps::RepairedTimestamps;
 use track::{Pictures, Track, TrackReader};
 
+pub use encode::{VideoEncoder, VideoFormat};
 pub(crate) use live_frames::LiveFrames;
 pub use recording::{MAX_RECORDING_BYTES, is_stream};
 pub(crate) use recording::{Recording, refused_stream};

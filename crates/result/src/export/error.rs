@@ -1,5 +1,6 @@
 //! Errors of exports.
 
+use i2slam::dataset::DatasetError;
 use i2slam_storage::StorageError;
 
 /// An export could not be made; the message says why and what to do.
@@ -11,9 +12,9 @@ pub enum ExportError {
     /// What was asked for cannot be had of this result.
     #[error("{0}")]
     Refused(String),
-    /// Another program is missing or failed.
-    #[error("{0}")]
-    Program(String),
+    /// ffmpeg is missing or failed.
+    #[error(transparent)]
+    Video(#[from] DatasetError),
     /// The export was cancelled; nothing was written.
     #[error("cancelled")]
     Cancelled,

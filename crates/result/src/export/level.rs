@@ -27,6 +27,8 @@ const SPACING: usize = 4;
 const WINDOWS: [f64; 4] = [20.0, 12.0, 6.0, 3.0];
 /// Least share of all surfaces that must lie flat or stand, else cameras alone count.
 const MIN_SHARE: f64 = 0.15;
+/// Largest mean angle by which cameras look up or down [degrees].
+const MAX_PITCH: f64 = 60.0;
 /// Least share of the second smallest spread of the cameras' right axes at which they span a plane.
 const MIN_SPREAD: f64 = 0.02;
 
@@ -96,7 +98,7 @@ fn up_of_cameras(poses: &[Pose<f64>]) -> Option<Vec3<f64>> {
     let (axis, second) = least_axis(&spread);
     let axis = if axis.dot(mean) < 0.0 { -axis } else { axis };
     let is_plane = second > MIN_SPREAD * poses.len() as f64;
-    let is_near = axis.dot(mean) > WINDOWS[0].to_radians().cos();
+    let is_near = axis.dot(mean) > MAX_PITCH.to_radians().cos();
     Some(if is_plane && is_near { axis } else { mean })
 }
 
@@ -121,7 +123,10 @@ fn up_of_surfaces(normals: &[Vec3<f64>], first: Vec3<f64>) -> Vec3<f64> {
         }
         let (axis, second) = least_axis(&spread);
         // One wall alone leaves a direction open.
-        if (count as f64) < MIN_SHARE * normals.len() as f64 || second < 0.05 * count as f64 {
+        if count == 0
+            || (count as f64) < MIN_SHARE * normals.len() as f64
+            || second < 0.05 * count as f64
+        {
             return up;
         }
         up = if axis.dot(up) < 0.0 { -axis } else { axis };

@@ -17,8 +17,10 @@ pub mod nerfstudio;
 pub mod ply;
 mod scene;
 mod seed_points;
+mod smooth_path;
 pub mod splat;
 mod tables;
+pub mod video;
 mod views;
 mod watch;
 

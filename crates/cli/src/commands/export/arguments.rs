@@ -62,6 +62,8 @@ pub(crate) enum Format {
     Glb,
     /// Triangles of the surface with colours, one file .ply or .glb
     Mesh,
+    /// Flight along the smoothed path of the camera, one file .mp4, made by ffmpeg
+    Video,
     /// Camera path, one line per frame: time, position, quaternion
     Tum,
     /// Camera path with exposure and white balance, a table
@@ -77,6 +79,7 @@ impl Format {
             Self::CompressedPly => &["compressed.ply"],
             Self::Glb => &["glb"],
             Self::Mesh => &["ply", "glb"],
+            Self::Video => &["mp4"],
             Self::Colmap | Self::Nerfstudio | Self::Tum | Self::Csv => &[],
         }
     }
@@ -122,8 +125,11 @@ impl Export {
                 "--crop and --min-opacity cut the map; {name} holds the path alone"
             )));
         }
-        if self.linear && matches!(format, Format::Mesh | Format::Html | Format::Tum | Format::Csv)
-        {
+        let is_linear_possible = !matches!(
+            format,
+            Format::Mesh | Format::Video | Format::Html | Format::Tum | Format::Csv
+        );
+        if self.linear && !is_linear_possible {
             return Err(Failure::Usage(format!("--linear is not for {}", format.name())));
         }
         match self.voxel {

@@ -16,7 +16,7 @@ use arguments::Format;
 use i2slam_result::UnitOfLength;
 use i2slam_result::export::{
     Axes, ExportError, MARK, Scene, Watch, colmap, compressed_ply, csv, glb, mesh, nerfstudio, ply,
-    tum,
+    tum, video,
 };
 use i2slam_storage::{OutputFolder, write_file};
 use std::path::Path;
@@ -46,7 +46,7 @@ pub(crate) fn export(arguments: &Export) -> Result<(), Failure> {
     };
     let written = write(arguments, &scene, &watch);
     progress.clear();
-    let what = with_unit(&written?, &scene);
+    let what = with_unit(&written?, arguments.format, &scene);
     print(&format!("{what}, in {}", arguments.out.display()));
     Ok(())
 }
@@ -78,6 +78,10 @@ fn write(arguments: &Export, scene: &Scene, watch: &Watch<'_>) -> Result<String,
             Ok(counted(splats.len(), "Gaussian"))
         }
         Format::Mesh => write_mesh(arguments, scene, watch),
+        Format::Video => {
+            let (pictures, seconds) = video::write(scene, out, &mark("video"), watch)?;
+            Ok(format!("{}, {seconds:.1} s", counted(pictures, "picture")))
+        }
         Format::Tum => {
             write_text(out, &tum(scene, &mark("tum")))?;
             Ok(counted(scene.frames(), "pose"))
@@ -122,8 +126,9 @@ fn mark(format: &str) -> String {
     format!("{MARK} --format {format}, version {}", env!("CARGO_PKG_VERSION"))
 }
 
-fn with_unit(what: &str, scene: &Scene) -> String {
+fn with_unit(what: &str, format: Format, scene: &Scene) -> String {
     match scene.unit() {
+        _ if format == Format::Video => what.to_owned(),
         UnitOfLength::Metre => format!("{what}, in metres"),
         UnitOfLength::Unknown => {
             format!("{what}, in a unit of length that pictures alone do not tell")

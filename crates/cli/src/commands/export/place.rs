@@ -8,7 +8,7 @@ use std::io::Read;
 use std::path::Path;
 
 /// Beginning of a file in which its mark stands [bytes].
-const HEAD: u64 = 4096;
+const HEAD: u64 = 1 << 20;
 
 /// Checks that the export may be written, before any work.
 pub(super) fn check(arguments: &Export) -> Result<(), Failure> {
@@ -28,7 +28,7 @@ pub(super) fn claim(arguments: &Export, names: &'static [&'static str]) -> Claim
 fn check_extension(format: Format, out: &Path) -> Result<(), Failure> {
     let due = format.extensions();
     let name = out.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
-    let fits = |extension: &&str| name.ends_with(&format!(".{extension}"));
+    let fits = |extension: &str| name.ends_with(&format!(".{extension}"));
     if due.is_empty() || due.iter().any(|extension| fits(extension)) {
         return Ok(());
     }

@@ -73,7 +73,7 @@ fn successors(case: usize) -> [Option<usize>; 12] {
                 .find(|&i| is_inside(face[i % 4]) && !is_inside(face[(i + 1) % 4]));
             if let Some(end) = end {
                 let last = edge_between(face[end % 4], face[(end + 1) % 4]);
-                next[last] = Some(edge_between(here, there));
+                next[edge_between(here, there)] = Some(last);
             }
         }
     }

@@ -96,8 +96,14 @@ fn specks_go_and_the_ball_stays() {
 fn a_scene_with_too_many_voxels_is_refused() {
     let (camera, depth) = (camera(), ball());
     let colour = Image { channels: 3, data: vec![0.25; 3 * 160 * 160], ..depth.clone() };
-    let world_from_camera = poses()[0];
-    let view = DepthView { camera: &camera, world_from_camera, depth: &depth, colour: &colour };
-    let refused = Volume::new(1e-6).add(&view).expect_err("too many voxels").to_string();
-    assert!(refused.contains("--voxel") || refused.contains("--crop"), "{refused}");
+    let view = DepthView {
+        camera: &camera,
+        world_from_camera: poses()[0],
+        depth: &depth,
+        colour: &colour,
+    };
+    let mut volume = Volume::new(0.02);
+    volume.max_blocks = 10;
+    let refused = volume.add(&view).expect_err("too many voxels").to_string();
+    assert!(refused.contains("--voxel 0.040") && refused.contains("--crop"), "{refused}");
 }

@@ -39,6 +39,8 @@ pub(super) struct Volume {
     pub(super) voxel: f64,
     pub(super) blocks: Vec<Block>,
     places: HashMap<BlockPlace, usize>,
+    /// Most blocks.
+    pub(super) max_blocks: usize,
 }
 
 /// A depth picture with colours.
@@ -52,7 +54,7 @@ pub(super) struct DepthView<'a> {
 
 impl Volume {
     pub(super) fn new(voxel: f64) -> Self {
-        Self { voxel, blocks: Vec::new(), places: HashMap::new() }
+        Self { voxel, blocks: Vec::new(), places: HashMap::new(), max_blocks: MAX_BLOCKS }
     }
 
     /// The number of a block.
@@ -95,7 +97,7 @@ impl Volume {
                     self.blocks.push(Block::new(place));
                 }
             }
-            if self.blocks.len() > MAX_BLOCKS {
+            if self.blocks.len() > self.max_blocks {
                 let (now, more) = (self.voxel, 2.0 * self.voxel);
                 return Err(ExportError::refused(format!(
                     "the scene is too large for voxels of {now:.4}: choose larger ones as in \
@@ -137,11 +139,12 @@ impl Block {
             if cosines[pixel] <= 0.0 {
                 continue;
             }
-            // Distance to the plane of the surface, not along the optical axis.
             let ray = local.norm() / local.z;
-            let gap = (f64::from(view.depth.data[pixel]) - local.z) * ray * cosines[pixel];
-            let distance = gap / (TRUNCATION * voxel);
-            if distance > -1.0 {
+            let gap = (f64::from(view.depth.data[pixel]) - local.z) * ray / (TRUNCATION * voxel);
+            // The distance to the plane of the surface, not along the line of sight. That one bounds
+            // how far behind the surface is known, which may end soon where it is seen flat.
+            let distance = gap * cosines[pixel];
+            if gap > -1.0 {
                 let weight = cosines[pixel] / local.norm_squared();
                 self.average(i, (distance.min(1.0) as f32, weight as f32), view, pixel);
             }
