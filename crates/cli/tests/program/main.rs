@@ -5,6 +5,7 @@ mod bounds;
 mod commands;
 mod eval;
 mod eval_result;
+mod export;
 #[cfg(unix)]
 mod footage;
 mod info;

@@ -12,7 +12,7 @@
 //! | log-scale | a Gaussian | 3 `u8` |
 //! | opacity | a Gaussian | `u8`: from [`MIN_OPACITY`] to 1 |
 //!
-//! Sections follow each other without gaps. `page/decode.js` reads them.
+//! Sections follow each other without gaps. `page/map.js` reads them.
 
 use i2slam::radiance::gaussian::{Gaussian, GaussianMap, RasterSettings, Shape};
 

@@ -1,0 +1,181 @@
+//! Results in the formats of other programs, and what is refused.
+
+use crate::program::{Room, Scene, i2slam, rows};
+use std::collections::HashMap;
+use std::fs;
+use std::path::Path;
+
+fn reconstructed(name: &str) -> Room {
+    Room::reconstructed(name, Scene { frames: 4, ..Scene::default() }, &[])
+}
+
+/// Exports to a name beside the result; returns the path.
+fn export(room: &Room, format: &str, name: &str, flags: &[&str]) -> std::path::PathBuf {
+    let out = room.scratch.join(name);
+    i2slam!("export", room.out, "--format", format, "--out", out; flags).exits_with(0);
+    out
+}
+
+/// Number that a header of PLY gives for an element.
+fn ply_count(file: &Path, element: &str) -> usize {
+    let bytes = fs::read(file).expect("written");
+    let text = String::from_utf8_lossy(&bytes);
+    let start = format!("element {element} ");
+    let line = text.lines().find_map(|line| line.strip_prefix(&start));
+    line.and_then(|count| count.parse().ok()).expect("a count")
+}
+
+/// Lines that are no comment, as words.
+fn words(file: &Path) -> Vec<Vec<String>> {
+    let text = fs::read_to_string(file).expect("written");
+    let lines = text.lines().filter(|line| !line.starts_with('#'));
+    lines.map(|line| line.split_whitespace().map(str::to_owned).collect()).collect()
+}
+
+fn numbers<const N: usize>(words: &[String]) -> [f64; N] {
+    std::array::from_fn(|k| words[k].parse().expect("a number"))
+}
+
+/// `R(q) x + t` for a quaternion w, x, y, z.
+fn transform([w, a, b, c, t0, t1, t2]: [f64; 7], [x, y, z]: [f64; 3]) -> [f64; 3] {
+    let cross =
+        |[a, b, c]: [f64; 3], [x, y, z]: [f64; 3]| [b * z - c * y, c * x - a * z, a * y - b * x];
+    let v = [a, b, c];
+    let first = cross(v, [x, y, z]);
+    let second = cross(v, first);
+    let turned: [f64; 3] = std::array::from_fn(|k| [x, y, z][k] + 2.0 * (w * first[k] + second[k]));
+    [turned[0] + t0, turned[1] + t1, turned[2] + t2]
+}
+
+#[test]
+fn points_of_a_colmap_model_project_where_its_pictures_show_them() {
+    let room = reconstructed("colmap");
+    let out = export(&room, "colmap", "model", &[]);
+    let sparse = out.join("sparse/0");
+    for file in ["cameras.bin", "images.bin", "points3D.bin"] {
+        assert!(sparse.join(file).is_file(), "{file}");
+    }
+    let camera = &words(&sparse.join("cameras.txt"))[0];
+    let [fx, fy, cx, cy] = numbers::<4>(&camera[4..]);
+    let points: HashMap<String, [f64; 3]> = words(&sparse.join("points3D.txt"))
+        .into_iter()
+        .map(|point| (point[0].clone(), numbers::<3>(&point[1..])))
+        .collect();
+    let images = words(&sparse.join("images.txt"));
+    assert_eq!(images.len(), 2 * 4, "two lines for each picture");
+    let mut observations = 0;
+    for image in images.chunks(2) {
+        assert!(out.join("images").join(&image[0][9]).is_file(), "{}", image[0][9]);
+        let pose = numbers::<7>(&image[0][1..]);
+        for observation in image[1].chunks(3).filter(|observation| observation[2] != "-1") {
+            let [u, v] = numbers::<2>(observation);
+            let [x, y, z] = transform(pose, points[&observation[2]]);
+            let (column, row) = (fx * x / z + cx, fy * y / z + cy);
+            assert!((column - u).hypot(row - v) < 1.0, "{column} {row} for {u} {v}");
+            observations += 1;
+        }
+    }
+    assert!(observations > 100, "{observations}");
+}
+
+#[test]
+fn every_format_holds_the_whole_result() {
+    let room = reconstructed("formats");
+    let count = ply_count(&room.out.join("map.ply"), "vertex");
+    assert_eq!(ply_count(&export(&room, "ply", "a.ply", &[]), "vertex"), count);
+    let compressed = export(&room, "compressed-ply", "a.compressed.ply", &[]);
+    assert_eq!(ply_count(&compressed, "vertex"), count);
+    assert_eq!(ply_count(&compressed, "chunk"), count.div_ceil(256));
+    let size = |file: &Path| fs::metadata(file).expect("written").len();
+    assert!(3 * size(&compressed) < size(&room.out.join("map.ply")));
+
+    let glb = fs::read(export(&room, "glb", "a.glb", &[])).expect("written");
+    assert_eq!(&glb[..4], b"glTF");
+    assert_eq!(u32::from_le_bytes(glb[8..12].try_into().expect("four")) as usize, glb.len());
+    assert!(String::from_utf8_lossy(&glb).contains("KHR_gaussian_splatting"));
+
+    assert!(ply_count(&export(&room, "mesh", "mesh.ply", &[]), "face") > 100);
+    assert_eq!(rows(&export(&room, "tum", "path.txt", &[])), 4);
+    assert_eq!(rows(&export(&room, "csv", "path.csv", &[])), 5);
+
+    let folder = export(&room, "nerfstudio", "nerf", &[]);
+    let text = fs::read_to_string(folder.join("transforms.json")).expect("written");
+    let transforms: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+    let frames = transforms["frames"].as_array().expect("frames");
+    assert_eq!(frames.len(), 4);
+    for frame in frames {
+        let picture = folder.join(frame["file_path"].as_str().expect("a path"));
+        assert!(picture.is_file(), "{}", picture.display());
+    }
+
+    let page = fs::read_to_string(export(&room, "html", "a.html", &[])).expect("written");
+    assert!(page.contains("<canvas") && !page.contains("src=\"http"), "not self-contained");
+}
+
+#[test]
+fn a_box_and_an_opacity_cut_the_map() {
+    let room = reconstructed("cut");
+    let whole = ply_count(&export(&room, "ply", "whole.ply", &[]), "vertex");
+    let right = ["--crop", "0 -100 -100 100 100 100"];
+    let cut = ply_count(&export(&room, "ply", "right.ply", &right), "vertex");
+    assert!((1..whole).contains(&cut), "{cut} of {whole}");
+    let opaque = export(&room, "ply", "opaque.ply", &["--min-opacity", "0.9"]);
+    assert!((1..whole).contains(&ply_count(&opaque, "vertex")));
+    let out = room.scratch.join("empty.ply");
+    let box_of_nothing = ["--crop", "500 500 500 501 501 501"];
+    let none = i2slam!("export", room.out, "--format", "ply", "--out", out; box_of_nothing);
+    none.exits_with(1).stderr_contains("no Gaussian is left");
+    assert!(!out.exists());
+}
+
+#[test]
+fn nothing_but_an_earlier_export_is_replaced() {
+    let room = reconstructed("replace");
+    let out = export(&room, "ply", "a.ply", &[]);
+    let again =
+        |flags: &[&str]| i2slam!("export", room.out, "--format", "ply", "--out", out; flags);
+    again(&[]).exits_with(2).stderr_contains("--overwrite");
+    again(&["--overwrite"]).exits_with(0);
+    fs::write(&out, "mine").expect("room");
+    again(&["--overwrite"]).exits_with(2).stderr_contains("choose another name");
+    assert_eq!(fs::read_to_string(&out).ok().as_deref(), Some("mine"));
+
+    let folder = room.scratch.join("mine");
+    fs::create_dir_all(folder.join("images")).expect("a folder");
+    fs::write(folder.join("images/a.png"), "mine").expect("room");
+    i2slam!("export", room.out, "--format", "colmap", "--out", folder; ["--overwrite"])
+        .exits_with(2);
+    assert!(folder.join("images/a.png").is_file() && !folder.join("sparse").exists());
+}
+
+#[test]
+fn what_cannot_be_exported_is_told() {
+    let room = reconstructed("refused");
+    let refused = |flags: &[&str], due: &str| {
+        let out = room.scratch.join("refused.ply");
+        i2slam!("export", room.out, "--out", out; flags).exits_with(2).stderr_contains(due);
+        assert!(!out.exists());
+    };
+    refused(&["--format", "las"], "possible values");
+    refused(&["--format", "glb"], ".glb");
+    refused(&["--format", "tum", "--min-opacity", "0.5"], "the path alone");
+    refused(&["--format", "mesh", "--linear"], "--linear is not for mesh");
+    refused(&["--format", "ply", "--voxel", "0.1"], "--voxel is for --format mesh");
+    refused(&["--format", "ply", "--crop", "0 0 0"], "six numbers");
+    refused(&["--format", "ply", "--up", "down"], "expected `estimate`");
+    let out = room.scratch.join("a.ply");
+    i2slam!("export", room.data, "--format", "ply", "--out", out).exits_with(1).stderr_contains("no result of a run");
+    assert!(!out.exists());
+}
+
+#[test]
+fn without_ffmpeg_a_video_says_what_is_needed() {
+    let room = reconstructed("no-ffmpeg");
+    let out = room.scratch.join("a.mp4");
+    let mut command =
+        crate::program::program(["export".as_ref(), room.out.as_os_str(), "--format".as_ref()]);
+    command.args(["video", "--out"]).arg(&out).env("I2SLAM_FFMPEG", room.scratch.join("none"));
+    let ran = crate::program::Ran::of(&mut command).exits_with(1);
+    ran.stderr_contains("ffmpeg");
+    assert!(!out.exists());
+}
