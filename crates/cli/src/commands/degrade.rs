@@ -19,7 +19,7 @@ pub(crate) struct Degrade {
     /// Folder of the sequence
     pub(crate) dataset: PathBuf,
     /// Folder for the degraded sequence
-    #[arg(long, value_name = "DIR")]
+    #[arg(short, long, value_name = "DIR")]
     pub(crate) out: PathBuf,
     /// Replace what was written into the folder before; other files in it stay
     #[arg(long)]

@@ -11,9 +11,9 @@ use std::path::{Path, PathBuf};
 
 #[derive(Args, Debug)]
 pub(crate) struct Demo {
-    /// Folder for clip and results
-    #[arg(long, value_name = "DIR", default_value = "i2slam-demo")]
-    pub(crate) out: PathBuf,
+    /// Folder for clip and results [default: i2slam-demo, with --rgb i2slam-demo-rgb]
+    #[arg(short, long, value_name = "DIR")]
+    pub(crate) out: Option<PathBuf>,
     /// By colour alone: the clip's depth is not looked at
     #[arg(long)]
     pub(crate) rgb: bool,
@@ -25,13 +25,14 @@ include!(concat!(env!("OUT_DIR"), "/clip.rs"));
 
 pub(crate) fn demo(arguments: &Demo) -> Result<(), Failure> {
     arguments.machine.use_threads()?;
-    let options = match arguments.rgb {
-        true => RunOptions::colour_alone(),
-        false => RunOptions::with_depth(),
+    let (options, usual) = match arguments.rgb {
+        true => (RunOptions::colour_alone(), "i2slam-demo-rgb"),
+        false => (RunOptions::with_depth(), "i2slam-demo"),
     };
+    let out = arguments.out.clone().unwrap_or_else(|| usual.into());
     let job = Job {
-        dataset: arguments.out.join("clip"),
-        out: arguments.out.clone(),
+        dataset: out.join("clip"),
+        out,
         options,
         settings_file: None,
         held_out_frames: None,

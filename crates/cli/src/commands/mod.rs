@@ -1,5 +1,6 @@
 //! Subcommands with their arguments.
 
+mod completions;
 mod degrade;
 mod demo;
 mod eval;
@@ -40,6 +41,8 @@ pub(crate) enum Command {
     Synth(synth::Synth),
     /// Put noise, exposure steps, gaps or a covered lens on a sequence
     Degrade(degrade::Degrade),
+    /// Print the completions of this program for a shell
+    Completions(completions::Completions),
     /// Moved to the program i2slam-bench
     #[command(hide = true, disable_help_flag = true)]
     Bench {
@@ -61,6 +64,7 @@ pub(crate) fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Presets(arguments) => presets::presets(&arguments),
         Command::Synth(arguments) => synth::synth(&arguments),
         Command::Degrade(arguments) => degrade::degrade(&arguments),
+        Command::Completions(arguments) => completions::completions(&arguments),
         Command::Bench { .. } => Err(Failure::Usage(
             "benchmarks are run by the program i2slam-bench: i2slam-bench SUITE --out DIR".into(),
         )),

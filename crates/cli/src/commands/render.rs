@@ -39,7 +39,7 @@ pub(crate) struct Render {
     pub(crate) kinds: Option<Vec<String>>,
     /// Folder for the pictures, with their poses [default: renders/ of the result, views/ for poses
     /// of your own, numbered after those that are there]
-    #[arg(long, value_name = "DIR")]
+    #[arg(short, long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
     /// Replace what was drawn into that folder before; other files in it stay
     #[arg(long, requires = "out")]

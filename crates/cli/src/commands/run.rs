@@ -22,9 +22,10 @@ pub(crate) struct Run {
     /// ffmpeg decodes, with depth where its second track is 16-bit grey, or a stream of one: an address
     /// such as rtsp://HOST/PATH, a named pipe, - for the standard input
     pub(crate) dataset: PathBuf,
-    /// Folder for the results
-    #[arg(long, value_name = "DIR")]
-    pub(crate) out: PathBuf,
+    /// Folder for the results [default: NAME-i2slam in the current folder, with the name of the
+    /// sequence; streams need one]
+    #[arg(short, long, value_name = "DIR")]
+    pub(crate) out: Option<PathBuf>,
     /// Settings to start from, see `i2slam presets` [default: default]
     #[arg(long, value_name = "NAME")]
     pub(crate) preset: Option<String>,
@@ -81,6 +82,30 @@ pub(crate) struct Run {
     pub(crate) memory: Option<f64>,
     #[command(flatten)]
     pub(crate) machine: Machine,
+}
+
+impl Run {
+    /// Folder for the results: that of `--out`, else one named after the sequence.
+    fn out(&self) -> Result<PathBuf, Failure> {
+        if let Some(out) = &self.out {
+            return Ok(out.clone());
+        }
+        let dataset = &self.dataset;
+        let named = std::path::absolute(dataset).ok().filter(|_| !is_stream(dataset));
+        let name = named.as_deref().and_then(|path| match path.is_dir() {
+            true => path.file_name(),
+            false => path.file_stem(),
+        });
+        let Some(name) = name else {
+            return Err(Failure::Usage(format!(
+                "{} has no name for the result: give a folder with --out DIR",
+                dataset.display()
+            )));
+        };
+        let mut folder = name.to_owned();
+        folder.push("-i2slam");
+        Ok(PathBuf::from(folder))
+    }
 }
 
 /// Switches of the image-formation module.
@@ -171,7 +196,7 @@ fn run_stream(arguments: &Run) -> Result<(), Failure> {
     let options = RunOptions::new(settings, poses);
     // What lies in the way is said before a stream is read that may have no end.
     pose_lines(arguments, &options)?;
-    reconstruction::check_output(&arguments.dataset, &arguments.out, arguments.overwrite)?;
+    reconstruction::check_output(&arguments.dataset, &arguments.out()?, arguments.overwrite)?;
     let open = arguments.input.open_options(options.open)?;
     // With depth a camera is needed, which is asked for once depth was seen.
     let Input { camera, intrinsics, fov, .. } = &arguments.input;
@@ -202,7 +227,7 @@ fn job(arguments: &Run) -> Result<Job<'_>, Failure> {
     let poses = pose_lines(arguments, &options)?;
     Ok(Job {
         dataset: arguments.dataset.clone(),
-        out: arguments.out.clone(),
+        out: arguments.out()?,
         options,
         settings_file: arguments.config.as_deref(),
         held_out_frames: match &arguments.hold_out {
@@ -229,7 +254,8 @@ fn pose_lines(arguments: &Run, options: &RunOptions) -> Result<Option<Arc<PoseLi
         PoseSource::FrontEnd { with_depth: false, .. } => UnitOfLength::Unknown,
         PoseSource::FrontEnd { with_depth: true, .. } | PoseSource::Map => UnitOfLength::Metre,
     };
-    let folders = [arguments.dataset.as_path(), arguments.out.as_path()];
+    let out = arguments.out()?;
+    let folders = [arguments.dataset.as_path(), out.as_path()];
     Ok(Some(Arc::new(PoseLines::new(path, folders, unit)?)))
 }
 

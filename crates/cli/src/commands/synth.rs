@@ -17,7 +17,7 @@ pub(crate) struct Synth {
     #[arg(value_name = "SPEC")]
     pub(crate) spec: Option<PathBuf>,
     /// Folder for the sequence
-    #[arg(long, value_name = "DIR", required_unless_present = "print_spec")]
+    #[arg(short, long, value_name = "DIR", required_unless_present = "print_spec")]
     pub(crate) out: Option<PathBuf>,
     /// Replace what was written into the folder before; other files in it stay
     #[arg(long)]

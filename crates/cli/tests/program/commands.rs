@@ -1,6 +1,6 @@
 //! The other commands, on one small result.
 
-use crate::program::{Room, Scene, i2slam, run};
+use crate::program::{Ran, Room, Scene, i2slam, program, run};
 use std::fs;
 use std::path::Path;
 
@@ -95,4 +95,25 @@ fn a_reader_that_goes_away_ends_nothing_badly() {
         .expect("the program starts");
     drop(child.stdout.take());
     Ran::from(child.wait_with_output().expect("an end")).exits_with(0);
+}
+
+#[test]
+fn a_result_without_a_name_has_that_of_its_sequence() {
+    let room = Room::new("unnamed", Scene { frames: 3, ..Scene::default() });
+    let config = room.scratch.join("quick.toml");
+    fs::write(&config, "[mapping]\nfinal_iterations = 3\niterations = 3\n").expect("room");
+    let name = room.data.file_name().expect("a name").to_string_lossy().into_owned();
+    let mut command = program(["run".as_ref(), room.data.as_os_str()]);
+    command.arg("--config").arg(&config).args(["--render", "none"]);
+    Ran::of(command.current_dir(room.scratch.join(""))).exits_with(0);
+    assert!(room.scratch.join(&format!("{name}-i2slam/trajectory.txt")).is_file());
+    run(["run", "-"]).exits_with(2).stderr_contains("--out DIR");
+}
+
+#[test]
+fn shells_have_completions() {
+    for shell in ["bash", "zsh", "fish", "powershell", "elvish"] {
+        let script = run(["completions", shell]).exits_with(0).out;
+        assert!(script.contains("export") && script.contains("min-opacity"), "{shell}");
+    }
 }

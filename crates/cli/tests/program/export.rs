@@ -164,7 +164,9 @@ fn what_cannot_be_exported_is_told() {
     refused(&["--format", "ply", "--crop", "0 0 0"], "six numbers");
     refused(&["--format", "ply", "--up", "down"], "expected `estimate`");
     let out = room.scratch.join("a.ply");
-    i2slam!("export", room.data, "--format", "ply", "--out", out).exits_with(1).stderr_contains("no result of a run");
+    i2slam!("export", room.data, "--format", "ply", "--out", out)
+        .exits_with(1)
+        .stderr_contains("no result of a run");
     assert!(!out.exists());
 }
 

@@ -15,7 +15,7 @@ pub(crate) struct Export {
     #[arg(long, value_enum, value_name = "FORMAT")]
     pub(crate) format: Format,
     /// The file to write, or the folder
-    #[arg(long, value_name = "PATH")]
+    #[arg(short, long, value_name = "PATH")]
     pub(crate) out: PathBuf,
     /// Replace an earlier export in the same format; nothing else is ever replaced
     #[arg(long)]
