@@ -22,7 +22,7 @@ pub(crate) struct Input {
     pub(crate) scale: Option<f64>,
     /// Longer side of the processed pictures at most [px] [default: 640 for videos and colour
     /// alone, unless --scale is given]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(16..))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(16..=65_535))]
     pub(crate) max_side: Option<u32>,
     /// Camera file to use instead of the folder's camera.json
     #[arg(long, value_name = "FILE.json")]

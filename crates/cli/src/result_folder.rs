@@ -9,10 +9,15 @@ pub(crate) fn refuse_non_results(result: &Path) -> Result<(), Failure> {
     if !result.is_dir() {
         return Err(Failure::Failed(format!("{shown}: no such folder")));
     }
-    match result.join("config.toml").is_file() && result.join("map.i2slam").is_file() {
+    match is_result(result) {
         true => Ok(()),
         false => Err(Failure::Failed(format!(
             "{shown}: no result of a run, which has config.toml and map.i2slam"
         ))),
     }
+}
+
+/// Whether a folder holds a result of a run.
+pub(crate) fn is_result(folder: &Path) -> bool {
+    folder.join("config.toml").is_file() && folder.join("map.i2slam").is_file()
 }

@@ -7,8 +7,9 @@ use crate::held_out_frames::{HoldOut, parse_hold_out};
 use crate::interrupt::{self, Reading};
 use crate::pose_lines::PoseLines;
 use crate::reconstruction::{self, Job, RenderSelection};
+use clap::builder::PossibleValuesParser;
 use clap::{Args, ValueEnum};
-use i2slam::config::{MapKind, line_of_key};
+use i2slam::config::{MapKind, PRESET_NAMES, line_of_key};
 use i2slam::dataset::{OpenOptions, is_stream, is_video, is_without_depth};
 use i2slam::keyframes::ImportDepth;
 use i2slam::{CancellationToken, Config, PoseSource, RunOptions};
@@ -27,7 +28,12 @@ pub(crate) struct Run {
     #[arg(short, long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
     /// Settings to start from, see `i2slam presets` [default: default]
-    #[arg(long, value_name = "NAME")]
+    #[arg(
+        long,
+        value_name = "NAME",
+        value_parser = PossibleValuesParser::new(PRESET_NAMES),
+        hide_possible_values = true
+    )]
     pub(crate) preset: Option<String>,
     /// TOML file whose values replace those of the preset
     #[arg(long, value_name = "FILE.toml")]

@@ -178,7 +178,7 @@ impl Measurements {
         metrics.peak_memory_bytes = peak_memory();
         if let Some(camera) = &outcome.camera {
             let estimated = camera.is_focal_length_estimated;
-            metrics.camera_source = Some(camera.source.clone());
+            metrics.camera_source = Some(camera.source_of_focal_length());
             metrics.focal_length_assumed_px = estimated.then_some(camera.assumed_focal_length);
             metrics.focal_length_deviation = camera.focal_length_deviation;
             metrics.lens_distortion = camera.lens.map(|lens| lens.distortion);

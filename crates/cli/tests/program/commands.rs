@@ -111,6 +111,14 @@ fn a_result_without_a_name_has_that_of_its_sequence() {
 }
 
 #[test]
+fn a_result_is_no_sequence_and_a_preset_may_be_misspelt() {
+    let room = Room::reconstructed("mistaken", Scene { frames: 3, ..Scene::default() }, &[]);
+    i2slam!("info", room.out).exits_with(2).stderr_contains("is a result of `i2slam run`");
+    let misspelt = run(["run", "nowhere", "--preset", "defualt"]).exits_with(2);
+    misspelt.stderr_contains("a similar value exists: 'default'");
+}
+
+#[test]
 fn shells_have_completions() {
     for shell in ["bash", "zsh", "fish", "powershell", "elvish"] {
         let script = run(["completions", shell]).exits_with(0).out;

@@ -42,6 +42,7 @@ fn a_video_needs_no_flags() {
     assert!((assumed - 138.6).abs() < 0.1, "{assumed}");
     let text = fs::read_to_string(&metrics).expect("figures");
     assert!(text.contains("\"unit_of_length\": \"unknown\""), "{text}");
+    assert!(text.contains("\"camera_source\": \"the pictures; assumed first: "), "{text}");
     let page = fs::read_to_string(out.join("report.html")).expect("a report");
     assert!(page.contains("Unit of length: unknown") && page.contains("Field of view"));
     let stamps = fs::read_to_string(out.join("trajectory.txt")).expect("a path");

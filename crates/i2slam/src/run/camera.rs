@@ -27,6 +27,17 @@ pub struct CameraEstimate {
 }
 
 impl CameraEstimate {
+    /// Where the focal length comes from, in words: the pictures if they determine it, else the
+    /// source of the assumed camera.
+    pub fn source_of_focal_length(&self) -> String {
+        match self.focal_length_deviation {
+            Some(_) if self.is_focal_length_estimated => {
+                format!("the pictures; assumed first: {}", self.source)
+            }
+            _ => self.source.clone(),
+        }
+    }
+
     pub(super) fn new(sequence: &Sequence, found: &OdometryReconstruction) -> Self {
         Self {
             source: sequence.camera_source.clone(),

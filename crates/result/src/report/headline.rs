@@ -87,10 +87,7 @@ pub(super) fn cards(metrics: &Metrics) -> String {
         let focal = format!("Focal length {:.1} px", metrics.focal_length_px);
         let meaning = match metrics.focal_length_assumed_px {
             Some(assumed) => {
-                format!(
-                    "{focal}, found in the pictures; taken first: {assumed:.1} px ({}).",
-                    escape(source)
-                )
+                format!("{focal}, from {} ({assumed:.1} px).", escape(source))
             }
             None => format!("{focal}, from {}.", escape(source)),
         };

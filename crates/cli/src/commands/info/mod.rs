@@ -9,6 +9,7 @@ use crate::failure::{Failure, print_json};
 use crate::ground_truth::GroundTruth;
 use crate::interrupt;
 use crate::progress::Progress;
+use crate::result_folder::is_result;
 use clap::Args;
 use frames::PictureStats;
 use i2slam::dataset::{DatasetError, Sequence, is_video};
@@ -72,6 +73,13 @@ fn open(arguments: &Info) -> Result<Option<Sequence>, Failure> {
 
 pub(crate) fn info(arguments: &Info) -> Result<(), Failure> {
     arguments.machine.use_threads()?;
+    if is_result(&arguments.dataset) {
+        return Err(Failure::Usage(format!(
+            "{0} is a result of `i2slam run`, and info describes what can be run: the result is \
+             described by its report.html, and its dataset named in input.json",
+            arguments.dataset.display()
+        )));
+    }
     let Some(sequence) = open(arguments)? else { return Ok(()) };
     let truth = GroundTruth::open(&arguments.dataset, &sequence);
     let mut warnings = sequence.warnings.clone();
