@@ -17,7 +17,7 @@ pub(crate) fn refuse_non_results(result: &Path) -> Result<(), Failure> {
     }
 }
 
-/// Whether a folder holds a result of a run.
+/// Tells if a folder holds a result of a run.
 pub(crate) fn is_result(folder: &Path) -> bool {
     folder.join("config.toml").is_file() && folder.join("map.i2slam").is_file()
 }

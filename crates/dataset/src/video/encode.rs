@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStderr};
 use std::thread::JoinHandle;
 
-/// What a video to be made is like.
+/// Size and frame rate of a video to be made.
 #[derive(Clone, Copy, Debug)]
 pub struct VideoFormat<'a> {
     /// Width and height of the pictures [px]; an odd last column or row is left out.

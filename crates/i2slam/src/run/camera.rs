@@ -27,7 +27,7 @@ pub struct CameraEstimate {
 }
 
 impl CameraEstimate {
-    /// Where the focal length comes from, in words: the pictures if they determine it, else the
+    /// Source of the focal length in words: the pictures if they determine it, else the
     /// source of the assumed camera.
     pub fn source_of_focal_length(&self) -> String {
         match self.focal_length_deviation {

@@ -11,7 +11,7 @@ use std::path::PathBuf;
 pub(crate) struct Export {
     /// Result folder of a run
     pub(crate) result: PathBuf,
-    /// What to write
+    /// Format of the export
     #[arg(long, value_enum, value_name = "FORMAT")]
     pub(crate) format: Format,
     /// The file to write, or the folder
@@ -54,9 +54,7 @@ pub(crate) enum Format {
     Nerfstudio,
     /// Gaussians for splat viewers, one file
     Ply,
-    /// The map in 3D for a browser, with the pictures as filmed, one page that needs nothing else
-    Html,
-    /// The same in a quarter of the room or less, PlayCanvas' layout, one file .compressed.ply
+    /// Gaussians in a quarter of the room or less, PlayCanvas' layout, one file .compressed.ply
     CompressedPly,
     /// Gaussians as glTF (KHR_gaussian_splatting), one file
     Glb,
@@ -64,6 +62,8 @@ pub(crate) enum Format {
     Mesh,
     /// Flight along the smoothed path of the camera, one file .mp4, made by ffmpeg
     Video,
+    /// The map in 3D for a browser, with the pictures as filmed, one page that needs nothing else
+    Html,
     /// Camera path, one line per frame: time, position, quaternion
     Tum,
     /// Camera path with exposure and white balance, a table

@@ -55,7 +55,7 @@ fn check_file(format: Format, out: &Path, overwrite: bool) -> Result<(), Failure
     Err(Failure::Usage(format!("--out {} {message}", out.display())))
 }
 
-/// Whether a file begins as one that this command wrote in that format.
+/// Tells if a file begins as one that this command wrote in that format.
 fn is_earlier_export(format: Format, file: &Path) -> bool {
     let mut head = Vec::new();
     let read = i2slam_storage::open(file).and_then(|file| file.take(HEAD).read_to_end(&mut head));
