@@ -7,7 +7,6 @@ use super::watch::Watch;
 use crate::pictures::interleaved_bytes;
 use i2slam::dataset::{VideoEncoder, VideoFormat};
 use i2slam_storage::write_file;
-use std::fs::File;
 use std::hash::{BuildHasher, RandomState};
 use std::io;
 use std::path::{Path, PathBuf};
@@ -43,7 +42,7 @@ pub fn write(
         encoder.add(&interleaved_bytes(&picture))?;
     }
     encoder.finish()?;
-    write_file(out, |out| io::copy(&mut File::open(&scratch.0)?, out).map(drop))?;
+    write_file(out, |out| io::copy(&mut i2slam_storage::open(&scratch.0)?, out).map(drop))?;
     Ok((path.len(), path.len() as f64 / f64::from(RATE)))
 }
 
