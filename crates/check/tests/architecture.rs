@@ -23,7 +23,7 @@ const ARROWS: &[(&str, &[&str])] = &[
     ("eval", &["geometry"]),
     ("synthetic", &["storage", "geometry", "compute", "dataset"]),
     ("i2slam", &["storage", "geometry", "compute", "formation", "radiance", "dataset", "odometry"]),
-    ("result", &["storage", "i2slam"]),
+    ("result", &["storage", "compute", "i2slam"]),
     ("cli", &["storage", "i2slam", "result", "eval", "synthetic"]),
     ("bench", &["storage", "i2slam", "result", "eval", "synthetic"]),
     ("fuzz", &["check", "storage", "compute", "i2slam", "result", "eval", "synthetic"]),

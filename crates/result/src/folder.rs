@@ -8,7 +8,7 @@ use crate::{Metrics, ResultError, UnitOfLength, map, tables};
 use i2slam::dataset::read_trajectory;
 use i2slam::formation::tone::NODES;
 use i2slam::formation::{CameraResponse, NodeSpacing, StartCurve};
-use i2slam::geometry::{Camera, StampedPose};
+use i2slam::geometry::{Camera, Rotation, StampedPose};
 use i2slam::{Config, Map, Reconstruction};
 use i2slam_storage::OutputFolder;
 use serde::{Deserialize, Serialize};
@@ -64,7 +64,7 @@ pub fn save(folder: &OutputFolder, reconstruction: &Reconstruction) -> Vec<Resul
         folder.write("map.i2slam", |out| map::write_native(out, &r.map)),
         match &r.map {
             Map::Gaussians(map) => {
-                let splats = splats(map, &Display::Formed(r.typical_tone()));
+                let splats = splats(map, &Display::Formed(r.typical_tone()), Rotation::identity());
                 folder.write("map.ply", |out| ply::write(out, &splats, None))
             }
             Map::HashGrid(_) => Ok(()),

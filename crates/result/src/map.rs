@@ -2,7 +2,7 @@
 
 use crate::archive::{Archive, Array};
 use i2slam::Map;
-use i2slam::radiance::gaussian::{ColourActivation, GaussianMap, Shape};
+use i2slam::radiance::gaussian::{ColourActivation, Cone, GaussianMap, Shape, TERMS, ViewColours};
 use i2slam::radiance::hashgrid::HashGridMap;
 use serde::{Deserialize, Serialize};
 use std::io::{self, Write};
@@ -68,13 +68,23 @@ fn write_gaussians(out: &mut dyn Write, map: &GaussianMap<f32>) -> io::Result<()
         written_by: concat!("i2slam ", env!("CARGO_PKG_VERSION")).to_owned(),
     };
     let array = |name: &str, columns, values| Array { name: name.to_owned(), columns, values };
-    let arrays = vec![
+    let mut arrays = vec![
         array("mean", 3, map.means.concat()),
         array("log_scale", 3, map.log_scales.concat()),
         array("rotation", 4, map.rotations.concat()),
         array("opacity_logit", 1, map.opacity_logits.clone()),
         array("colour", 3, map.colours.concat()),
     ];
+    if !map.view_colours.is_empty() {
+        let terms = |i| map.view_colours.get(i).map_or(0, |view| view.coefficients.len());
+        let cones = map.view_colours.iter().map(|(_, view)| view.cone);
+        let cones = cones.flat_map(|Cone { rotation: [w, x, y, z], spread }| [w, x, y, z, spread]);
+        arrays.extend([
+            array("view_colour_terms", 1, (0..map.len()).map(|i| terms(i) as f32).collect()),
+            array("view_colour_cone", 5, cones.collect()),
+            array("view_colour", 3, map.view_colours.coefficients().concat()),
+        ]);
+    }
     Archive { meta, arrays }.write(out)
 }
 
@@ -88,13 +98,38 @@ fn read_gaussians(bytes: &[u8]) -> Result<GaussianMap<f32>, String> {
         rotations: rows(archive.take("rotation", 4)?),
         opacity_logits: archive.take("opacity_logit", 1)?,
         colours: rows(archive.take("colour", 3)?),
+        view_colours: read_view_colours(&mut archive)?,
     };
     let lengths =
         [map.log_scales.len(), map.rotations.len(), map.opacity_logits.len(), map.colours.len()];
-    if lengths.iter().any(|&n| n != map.means.len()) {
+    if lengths.iter().any(|&n| n != map.means.len()) || map.view_colours.end() > map.means.len() {
         return Err("has arrays of different length".to_owned());
     }
     Ok(map)
+}
+
+/// The view colours of a map, none if the file does not mention them.
+fn read_view_colours(archive: &mut Archive<MapMeta>) -> Result<ViewColours, String> {
+    let mut colours = ViewColours::default();
+    if archive.arrays.iter().all(|array| array.name != "view_colour_terms") {
+        return Ok(colours);
+    }
+    let counts = archive.take("view_colour_terms", 1)?;
+    let mut cones = rows::<5>(archive.take("view_colour_cone", 5)?).into_iter();
+    let coefficients: Vec<[f32; 3]> = rows(archive.take("view_colour", 3)?);
+    let mut rest = coefficients.as_slice();
+    for (gaussian, &count) in counts.iter().enumerate().filter(|(_, count)| **count != 0.0) {
+        let known = TERMS[1..].iter().find(|terms| **terms as f32 == count);
+        let terms =
+            *known.ok_or_else(|| format!("gives a view colour {count} terms, not 2, 5 or 9"))?;
+        let cone = cones.next().filter(|cone| cone.iter().all(|v| v.is_finite()) && cone[4] > 0.0);
+        let ([w, x, y, z, spread], (own, others)) =
+            cone.zip(rest.split_at_checked(terms)).ok_or("has damaged view colours")?;
+        colours.push(gaussian, Cone { rotation: [w, x, y, z], spread }, own);
+        rest = others;
+    }
+    let all = rest.is_empty() && cones.next().is_none();
+    all.then_some(colours).ok_or_else(|| "has more view colours than it tells".to_owned())
 }
 
 fn rows<const N: usize>(values: Vec<f32>) -> Vec<[f32; N]> {

@@ -117,7 +117,7 @@ fn print_steps() -> Outcome {
         ("exact", blurred, with(BlurMethod::Exact)),
     ];
     let curve = fitted.scene.responses[frame.response].curve();
-    let mut gradient = MapGradient::new(fitted.map.len());
+    let mut gradient = MapGradient::new(&fitted.map);
     let (mut best, mut busy) = ([f64::MAX; 5], [0.0; 5]);
     for _ in 0..ROUNDS {
         for (k, (_, shutter, sampling)) in cases.iter().enumerate() {

@@ -153,6 +153,9 @@ section! {
         /// rectangle of pixels over which colour and surface are plain, split where the map is wrong. With
         /// `tracking.method` `second-order` frames that are tracked against the map have balls.
         isotropic: bool,
+        /// Colours of flat Gaussians that depend on the direction they are seen from, where keyframes
+        /// show that they do: gloss. Needs `formation.tone`.
+        view_dependent: bool,
         /// Largest number of Gaussians; a full map merges similar neighbours.
         capacity: usize,
     }

@@ -121,7 +121,7 @@ fn ours() -> Config {
             fill_depth: true,
             ..paper.mapping
         },
-        map: MapConfig { isotropic: false, ..paper.map },
+        map: MapConfig { isotropic: false, view_dependent: true, ..paper.map },
         parameters: Parameters::of_preset("default"),
         ..paper
     }
@@ -154,7 +154,12 @@ fn paper_scannet() -> Config {
             response_curves: 3,
             response_start: StartCurve::Srgb,
         },
-        map: MapConfig { kind: MapKind::Gaussian, isotropic: true, capacity: 2_000_000 },
+        map: MapConfig {
+            kind: MapKind::Gaussian,
+            isotropic: true,
+            view_dependent: false,
+            capacity: 2_000_000,
+        },
         hashgrid: HashGridConfig {
             bound: 0.0,
             log2_table: 17,

@@ -342,7 +342,7 @@ mod tests {
             tone: Some(Formation { tone, curve: &curve }),
         };
         let mut objective = FrameObjective::new(CAMERA, smooth());
-        let mut d_map = MapGradient::new(60);
+        let mut d_map = MapGradient::new(&map());
         if mapping {
             objective.map(&map(), &observation(), &variables, 0.2, (0.5, 1.0), &mut d_map)
         } else {
@@ -443,7 +443,7 @@ mod tests {
         };
         let mut objective = FrameObjective::new(CAMERA, smooth());
         objective.set_valid_mask(valid_mask);
-        let mut d_map = MapGradient::new(60);
+        let mut d_map = MapGradient::new(&map());
         objective.map(&map(), &observation(), &variables, 0.2, (0.5, 0.0), &mut d_map);
         assert!(d_map.colours.iter().flatten().all(|&g| g == 0.0));
     }

@@ -31,13 +31,14 @@ pub(crate) struct Step {
 impl Step {
     pub(crate) fn new(count: usize, (width, height): (usize, usize)) -> Self {
         let view = view(width, height);
+        let map = map(count, &view);
         Self {
-            map: map(count, &view),
+            gradient: MapGradient::new(&map),
+            map,
             view,
             cotangent: cotangent(&view),
             rasterizer: Rasterizer::default(),
             out: Render::default(),
-            gradient: MapGradient::new(count),
             adam: std::array::from_fn(|_| Adam::new(AdamSettings::default())),
             ages: vec![0; count],
         }

@@ -1,5 +1,6 @@
 //! The map's parameters and their gradient.
 
+use super::view_colour::ViewColours;
 use i2slam_geometry::Real;
 use rayon::prelude::*;
 
@@ -71,6 +72,8 @@ pub struct GaussianMap<T = f32> {
     pub opacity_logits: Vec<T>,
     /// Colours before the activation.
     pub colours: Vec<[T; 3]>,
+    /// What is added to the colours of some, by the direction they are seen from.
+    pub view_colours: ViewColours<T>,
 }
 
 impl<T: Real> GaussianMap<T> {
@@ -84,6 +87,7 @@ impl<T: Real> GaussianMap<T> {
             rotations: Vec::new(),
             opacity_logits: Vec::new(),
             colours: Vec::new(),
+            view_colours: ViewColours::default(),
         }
     }
 
@@ -97,7 +101,7 @@ impl<T: Real> GaussianMap<T> {
         self.means.is_empty()
     }
 
-    /// Appends one.
+    /// Appends one, with the same colour from everywhere.
     pub fn push(&mut self, gaussian: Gaussian<T>) {
         self.means.push(gaussian.mean);
         self.log_scales.push(gaussian.log_scale);
@@ -117,7 +121,20 @@ impl<T: Real> GaussianMap<T> {
         })
     }
 
-    /// All Gaussians in order.
+    /// Colour of a Gaussian, before the activation, seen from `origin` \[m\].
+    #[inline]
+    pub fn colour_from(&self, index: usize, origin: [T; 3]) -> [T; 3] {
+        let colour = self.colours[index];
+        match self.view_colours.get(index) {
+            None => colour,
+            Some(view) => {
+                let deviation = view.deviation(self.means[index], origin);
+                std::array::from_fn(|c| colour[c] + deviation[c])
+            }
+        }
+    }
+
+    /// All Gaussians in order, with their colours on the axis of directions.
     pub fn iter(&self) -> impl Iterator<Item = Gaussian<T>> + '_ {
         (0..self.len()).map_while(|index| self.get(index))
     }
@@ -129,6 +146,7 @@ impl<T: Real> GaussianMap<T> {
         retain_by(&mut self.rotations, keep);
         retain_by(&mut self.opacity_logits, keep);
         retain_by(&mut self.colours, keep);
+        self.view_colours.retain(keep);
     }
 
     /// Converts to another scalar type.
@@ -144,6 +162,7 @@ impl<T: Real> GaussianMap<T> {
             rotations: vectors(&self.rotations),
             opacity_logits: self.opacity_logits.iter().map(|&x| U::of(x.to_f64())).collect(),
             colours: vectors(&self.colours),
+            view_colours: self.view_colours.cast(),
         }
     }
 }
@@ -168,15 +187,17 @@ pub struct MapGradient<T = f32> {
     pub opacity_logits: Vec<T>,
     /// With respect to the colours as stored (before the activation).
     pub colours: Vec<[T; 3]>,
+    /// With respect to the coefficients of the view colours.
+    pub view_colours: Vec<[T; 3]>,
     /// Gaussians that contributed to a pixel whose cotangent was not zero.
     pub seen: Vec<bool>,
 }
 
 impl<T: Real> MapGradient<T> {
-    /// Zeros for a map of `count` Gaussians.
-    pub fn new(count: usize) -> Self {
+    /// Zeros for a map.
+    pub fn new<U: Real>(map: &GaussianMap<U>) -> Self {
         let mut gradient = Self::default();
-        gradient.reset(count);
+        gradient.reset(map);
         gradient
     }
 
@@ -184,19 +205,22 @@ impl<T: Real> MapGradient<T> {
         self.means.len()
     }
 
-    /// Sets all to zero, for a map of `count` Gaussians, keeping the allocation.
-    pub fn reset(&mut self, count: usize) {
+    /// Sets all to zero, for a map, keeping the allocation.
+    pub fn reset<U: Real>(&mut self, map: &GaussianMap<U>) {
+        let count = map.len();
         self.means.resize(count, [T::zero(); 3]);
         self.log_scales.resize(count, [T::zero(); 3]);
         self.rotations.resize(count, [T::zero(); 4]);
         self.opacity_logits.resize(count, T::zero());
         self.colours.resize(count, [T::zero(); 3]);
         self.seen.resize(count, false);
-        self.par_rows(RESET_ROWS).for_each(GradientRows::clear);
+        self.view_colours.resize(map.view_colours.coefficients().len(), [T::zero(); 3]);
+        self.par_rows(&map.view_colours, RESET_ROWS).for_each(GradientRows::clear);
     }
 
     pub(crate) fn rows(&mut self) -> GradientRows<'_, T> {
         GradientRows {
+            view_colours: &mut self.view_colours,
             means: &mut self.means,
             log_scales: &mut self.log_scales,
             rotations: &mut self.rotations,
@@ -207,17 +231,28 @@ impl<T: Real> MapGradient<T> {
     }
 
     /// Chunks of `count` rows, to write.
-    pub(crate) fn par_rows(
+    pub(crate) fn par_rows<U: Real>(
         &mut self,
+        layout: &ViewColours<U>,
         count: usize,
     ) -> impl IndexedParallelIterator<Item = GradientRows<'_, T>> {
+        let view_colours = layout.chunks(&mut self.view_colours, self.means.len(), count);
         let places = self.means.par_chunks_mut(count).zip(self.log_scales.par_chunks_mut(count));
         let shapes = self.rotations.par_chunks_mut(count);
         let shapes = shapes.zip(self.opacity_logits.par_chunks_mut(count));
-        let colours = self.colours.par_chunks_mut(count).zip(self.seen.par_chunks_mut(count));
+        let colours = self.colours.par_chunks_mut(count).zip(view_colours);
+        let colours = colours.zip(self.seen.par_chunks_mut(count));
         places.zip(shapes).zip(colours).map(|(((means, log_scales), shapes), (colours, seen))| {
-            let (rotations, opacity_logits) = shapes;
-            GradientRows { means, log_scales, rotations, opacity_logits, colours, seen }
+            let ((rotations, opacity_logits), (colours, view_colours)) = (shapes, colours);
+            GradientRows {
+                means,
+                log_scales,
+                rotations,
+                opacity_logits,
+                colours,
+                view_colours,
+                seen,
+            }
         })
     }
 }
@@ -232,6 +267,8 @@ pub(crate) struct GradientRows<'a, T> {
     pub(crate) rotations: &'a mut [[T; 4]],
     pub(crate) opacity_logits: &'a mut [T],
     pub(crate) colours: &'a mut [[T; 3]],
+    /// Coefficients of the view colours of these Gaussians.
+    pub(crate) view_colours: &'a mut [[T; 3]],
     pub(crate) seen: &'a mut [bool],
 }
 
@@ -242,6 +279,7 @@ impl<T: Real> GradientRows<'_, T> {
         self.rotations.fill([T::zero(); 4]);
         self.opacity_logits.fill(T::zero());
         self.colours.fill([T::zero(); 3]);
+        self.view_colours.fill([T::zero(); 3]);
         self.seen.fill(false);
     }
 
@@ -257,6 +295,7 @@ impl<T: Real> GradientRows<'_, T> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::view_colour::Cone;
     use super::*;
 
     fn gaussian(i: usize) -> Gaussian<f32> {
@@ -280,17 +319,27 @@ mod tests {
         assert_eq!(map.cast::<f64>().cast::<f32>(), map);
     }
 
+    fn map(count: usize) -> GaussianMap<f32> {
+        let mut map = GaussianMap::new(Shape::Anisotropic, ColourActivation::Linear);
+        (0..count).for_each(|i| map.push(gaussian(i)));
+        let cone = Cone { rotation: [1.0, 0.0, 0.0, 0.0], spread: 0.5 };
+        (0..count).step_by(3).for_each(|i| map.view_colours.push(i, cone, &[[1.0; 3]; 2]));
+        map
+    }
+
     #[test]
     fn a_reset_gradient_is_that_of_a_new_one() {
         let count = RESET_ROWS + 3;
-        let mut gradient = MapGradient::new(count + 5);
+        let (less, more) = (map(count), map(count + 9));
+        let mut gradient = MapGradient::new(&map(count + 5));
         for row in 0..count + 5 {
             gradient.rows().add(row, &gaussian(row), true);
         }
-        gradient.reset(count);
-        assert_eq!(gradient, MapGradient::new(count));
-        gradient.reset(count + 9);
-        assert_eq!(gradient, MapGradient::new(count + 9));
+        gradient.view_colours.fill([1.0; 3]);
+        gradient.reset(&less);
+        assert_eq!(gradient, MapGradient::new(&less));
+        gradient.reset(&more);
+        assert_eq!(gradient, MapGradient::new(&more));
     }
 
     #[test]

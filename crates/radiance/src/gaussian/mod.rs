@@ -14,6 +14,9 @@
 //! means (ties by index). Contributions with `α < alpha_min` are left out, and a pixel ends
 //! before the contribution that would take its transmittance under `transmittance_min`.
 //!
+//! Some Gaussians show another [colour from each direction](ViewColours), that of mid-exposure during
+//! the whole exposure.
+//!
 //! A camera that moves while its shutter is open ([`ShutterMotion`]) sees footprints that move:
 //! each is projected once, and only the blend repeats over the moments of the exposure.
 //!
@@ -25,6 +28,7 @@ mod map;
 mod project;
 mod rasterize;
 mod sort;
+mod view_colour;
 
 #[cfg(test)]
 pub(crate) mod tests;
@@ -33,6 +37,7 @@ pub use crate::{Moment, MotionGradient, Render, RenderCotangent, ShutterMotion, 
 pub use bin::TILE;
 pub use map::{ColourActivation, Gaussian, GaussianMap, MapGradient, Shape};
 pub use rasterize::{Rasterizer, StageSeconds, Work, reference};
+pub use view_colour::{Cone, MAX_DEVIATION, TERMS, ViewColour, ViewColours};
 
 /// Cut-offs of the rasteriser. Not differentiated.
 #[derive(Clone, Copy, Debug, PartialEq)]

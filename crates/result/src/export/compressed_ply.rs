@@ -175,6 +175,7 @@ mod tests {
             Splat {
                 mean: [3.0 * wave(i, 0.1), wave(i, 0.7), 2.0 + wave(i, 0.3)],
                 colour: [0.5 + 0.5 * wave(i, 0.2), 0.3, 0.5 + 0.4 * wave(i, 0.9)],
+                view: None,
                 opacity_logit: 9.0 * wave(i, 0.4),
                 log_scale: [-4.0 + wave(i, 0.6), -5.0, -3.0 + wave(i, 1.1)],
                 rotation: q.map(|v| v / norm),

@@ -1,5 +1,5 @@
 //! Gaussians as binary glTF with the extension `KHR_gaussian_splatting`, as ratified by Khronos:
-//! linear scales, opacities from 0 to 1, quaternions x y z w, the zeroth spherical harmonic.
+//! linear scales, opacities from 0 to 1, quaternions x y z w, spherical harmonics.
 
 use super::gltf::Buffers;
 use super::splat::Splat;
@@ -24,14 +24,20 @@ pub fn write(
         .iter()
         .map(|s| [s.colour[0], s.colour[1], s.colour[2], s.opacity()].map(byte))
         .collect();
-    let attributes = json!({
+    let harmonics: Vec<_> = splats.iter().map(Splat::harmonics).collect();
+    let mut attributes = json!({
         "POSITION": buffers.positions(&rows(|s| s.mean)),
         "COLOR_0": buffers.bytes(&colours),
         "KHR_gaussian_splatting:ROTATION": buffers.floats(&rotations),
         "KHR_gaussian_splatting:SCALE": buffers.floats(&rows(|s| s.log_scale.map(f32::exp))),
         "KHR_gaussian_splatting:OPACITY": buffers.floats(&opacities),
-        "KHR_gaussian_splatting:SH_DEGREE_0_COEF_0": buffers.floats(&rows(Splat::harmonics)),
     });
+    let degrees = if splats.iter().any(|s| s.view.is_some()) { 2 } else { 0 };
+    for (degree, coefficient) in (0..=degrees).flat_map(|d| (0..=2 * d).map(move |k| (d, k))) {
+        let values = harmonics.iter().map(|h| h[degree * degree + coefficient]);
+        let name = format!("KHR_gaussian_splatting:SH_DEGREE_{degree}_COEF_{coefficient}");
+        attributes[name] = json!(buffers.floats(&values.collect::<Vec<_>>()));
+    }
     let colour_space = if linear { "lin_rec709_display" } else { "srgb_rec709_display" };
     let description = json!({
         "extensionsUsed": ["KHR_gaussian_splatting"],
@@ -62,6 +68,7 @@ mod tests {
         let splat = Splat {
             mean: [1.0, 2.0, 3.0],
             colour: [0.25, 0.5, 1.0],
+            view: None,
             opacity_logit: 0.0,
             log_scale: [-1.0, 0.0, -2.0],
             rotation: [0.5, -0.5, 0.1, 0.7],

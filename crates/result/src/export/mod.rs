@@ -10,6 +10,7 @@ pub mod compressed_ply;
 mod error;
 pub mod glb;
 mod gltf;
+mod harmonics;
 mod html;
 pub(crate) mod level;
 pub mod mesh;

@@ -141,8 +141,7 @@ impl Scene {
             }
         };
         let turn = self.rotation(axes);
-        let splats = splats(map, &self.display()).into_iter();
-        Ok(splats.map(|splat| splat.rotated(turn)).collect())
+        Ok(splats(map, &self.display(), turn))
     }
 }
 

@@ -1,8 +1,10 @@
 //! Gaussians as viewers of 3D Gaussian splatting expect them (Kerbl et al. 2023).
 
+use super::harmonics;
 use i2slam::formation::{FrameTone, ResponseCurve};
 use i2slam::geometry::{Rotation, Vec3};
 use i2slam::radiance::gaussian::{GaussianMap, Shape};
+use rayon::prelude::*;
 
 /// The zeroth real spherical harmonic, `1 / (2 √π)`: colour = 0.5 + C0 · f_dc.
 pub(crate) const HARMONIC_ZERO: f32 = 0.282_094_8;
@@ -12,8 +14,11 @@ pub(crate) const HARMONIC_ZERO: f32 = 0.282_094_8;
 pub struct Splat {
     /// Mean [m].
     pub mean: [f32; 3],
-    /// Colour: a picture value from 0 to 1, or linear radiance.
+    /// Colour: a picture value from 0 to 1, or linear radiance; on the axis of the directions from
+    /// which it was seen.
     pub colour: [f32; 3],
+    /// Coefficients of harmonics whose sum is the colour less 0.5, where it depends on the direction.
+    pub view: Option<[[f32; 3]; harmonics::COUNT]>,
     /// Logit of the opacity.
     pub opacity_logit: f32,
     /// Natural logarithms of the standard deviations [log m].
@@ -46,74 +51,74 @@ impl Display {
 }
 
 impl Splat {
-    /// The harmonic coefficients of its colour, the same from all directions.
-    pub(crate) fn harmonics(&self) -> [f32; 3] {
-        self.colour.map(|c| (c - 0.5) / HARMONIC_ZERO)
+    /// The harmonic coefficients of its colour.
+    pub(crate) fn harmonics(&self) -> [[f32; 3]; harmonics::COUNT] {
+        self.view.unwrap_or_else(|| {
+            let mut constant = [[0.0; 3]; harmonics::COUNT];
+            constant[0] = self.colour.map(|c| (c - 0.5) / HARMONIC_ZERO);
+            constant
+        })
     }
 
     /// Opacity from 0 to 1.
     pub(crate) fn opacity(&self) -> f32 {
         1.0 / (1.0 + (-self.opacity_logit).exp())
     }
-
-    /// The Gaussian in a rotated world.
-    pub(crate) fn rotated(self, rotation: Rotation<f64>) -> Self {
-        let mean = rotation.rotate(Vec3::from_array(self.mean.map(f64::from)));
-        let [w, x, y, z] = self.rotation.map(f64::from);
-        let turned = (rotation * Rotation { w, v: Vec3::new(x, y, z) }).normalized();
-        let Vec3 { x, y, z } = turned.v;
-        Self {
-            mean: mean.to_array().map(|v| v as f32),
-            rotation: [turned.w, x, y, z].map(|v| v as f32),
-            ..self
-        }
-    }
 }
 
-/// The Gaussians of a map, in its order.
-pub(crate) fn splats(map: &GaussianMap<f32>, display: &Display) -> Vec<Splat> {
-    (0..map.len()).map(|i| splat(map, i, display)).collect()
+/// The Gaussians of a map, in its order, in a world that is turned.
+pub(crate) fn splats(map: &GaussianMap<f32>, display: &Display, turn: Rotation<f64>) -> Vec<Splat> {
+    (0..map.len()).into_par_iter().map(|i| splat(map, i, display, turn)).collect()
 }
 
-fn splat(map: &GaussianMap<f32>, i: usize, display: &Display) -> Splat {
+fn splat(map: &GaussianMap<f32>, i: usize, display: &Display, turn: Rotation<f64>) -> Splat {
     let isotropic = map.shape == Shape::Isotropic;
-    let (log_scale, rotation) = (map.log_scales[i], map.rotations[i]);
-    let norm = rotation.iter().map(|v| v * v).sum::<f32>().sqrt();
-    let turned = !isotropic && norm.is_finite() && norm > 0.0;
+    let (log_scale, [w, x, y, z]) = (map.log_scales[i], map.rotations[i].map(f64::from));
+    let own = Rotation::from_wxyz(w, x, y, z).filter(|_| !isotropic);
+    let Rotation { w, v: Vec3 { x, y, z } } =
+        own.map_or_else(Rotation::identity, |own| (turn * own).normalized());
+    let mean = turn.rotate(Vec3::from_array(map.means[i]).cast());
+    let (colour, activation) = (map.colours[i], map.activation);
+    let view = map.view_colours.get(i);
     Splat {
-        mean: map.means[i],
-        colour: display.colour(map.activation.radiance(map.colours[i])),
+        mean: mean.cast::<f32>().to_array(),
+        colour: display.colour(activation.radiance(colour)),
+        view: view.map(|view| harmonics::fit(colour, view, (display, activation), turn)),
         opacity_logit: map.opacity_logits[i],
         log_scale: if isotropic { [log_scale[0]; 3] } else { log_scale },
-        rotation: if turned { rotation.map(|v| v / norm) } else { [1.0, 0.0, 0.0, 0.0] },
+        rotation: [w, x, y, z].map(|v| v as f32),
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use i2slam::radiance::gaussian::{ColourActivation, Gaussian};
 
     #[test]
-    fn a_rotated_splat_keeps_its_shape() {
-        let splat = Splat {
+    fn a_turned_splat_keeps_its_shape() {
+        let mut map = GaussianMap::new(Shape::Anisotropic, ColourActivation::Linear);
+        map.push(Gaussian {
             mean: [1.0, 2.0, 3.0],
-            colour: [0.5; 3],
-            opacity_logit: 0.0,
             log_scale: [-4.0, -3.0, -2.0],
-            rotation: [0.5, 0.5, -0.5, 0.5],
-        };
-        let rotation = Rotation::exp(Vec3::new(0.3, -0.4, 1.1));
-        let turned = splat.rotated(rotation);
+            rotation: [1.0, 1.0, -1.0, 1.0],
+            opacity_logit: 0.0,
+            colour: [0.5; 3],
+        });
+        let turn = Rotation::exp(Vec3::new(0.3, -0.4, 1.1));
+        let [before, after] =
+            [Rotation::identity(), turn].map(|turn| splats(&map, &Display::Linear, turn)[0]);
         let axis = |splat: &Splat, axis: Vec3<f64>| {
             let [w, x, y, z] = splat.rotation.map(f64::from);
             Rotation { w, v: Vec3::new(x, y, z) }.rotate(axis)
         };
         for one in [Vec3::new(1.0, 0.0, 0.0), Vec3::new(0.0, 0.0, 1.0)] {
-            let (now, due) = (axis(&turned, one), rotation.rotate(axis(&splat, one)));
+            let (now, due) = (axis(&after, one), turn.rotate(axis(&before, one)));
             assert!((now - due).norm() < 1e-6, "{now:?} {due:?}");
         }
-        let due = rotation.rotate(Vec3::new(1.0, 2.0, 3.0)).to_array();
-        assert!(turned.mean.iter().zip(due).all(|(a, b)| (f64::from(*a) - b).abs() < 1e-6));
-        assert_eq!((turned.log_scale, turned.opacity()), (splat.log_scale, 0.5));
+        let due = turn.rotate(Vec3::new(1.0, 2.0, 3.0)).to_array();
+        assert!(after.mean.iter().zip(due).all(|(a, b)| (f64::from(*a) - b).abs() < 1e-6));
+        assert_eq!((after.log_scale, after.opacity()), (before.log_scale, 0.5));
+        assert_eq!(before.rotation, [0.5, 0.5, -0.5, 0.5]);
     }
 }

@@ -88,7 +88,7 @@ impl<'a> ViewerPage<'a> {
             Some(picture) => jpeg_address(&within(picture, MAX_SIDE), QUALITY),
             None => String::new(),
         };
-        let scene = Scene::new(self, quantised.count, map.activation, picture);
+        let scene = Scene::new(self, &quantised, map.activation, picture);
         let mut values = vec![
             ("title", escape(self.title)),
             ("scene", scene.json()),

@@ -8,13 +8,20 @@
 //! | bounds | a chunk | 18 `f32`: lowest mean, log-scale, colour (3 each), then highest |
 //! | rotation | a Gaussian | `u32`: number of the largest component in the upper 2 bits, then the others, 10 bits each |
 //! | colour | a Gaussian | `u32`: R, G, B from the lowest bit on, 10 bits each |
+//! | cone | a view colour | `u32`: rotation, as above |
 //! | mean | a Gaussian | 3 `u16` |
+//! | spread | a view colour | `u16`: from 0 to 1 |
+//! | coefficients | a term of a view colour | 3 `i16`: 1 is [`COEFFICIENT_STEPS`] |
 //! | log-scale | a Gaussian | 3 `u8` |
 //! | opacity | a Gaussian | `u8`: from [`MIN_OPACITY`] to 1 |
+//! | terms | a view colour | `u8`: their number |
 //!
-//! Sections follow each other without gaps. `page/map.js` reads them.
+//! Gaussians with a view colour come first. Sections follow each other without gaps. `page/map.js`
+//! reads them.
 
-use i2slam::radiance::gaussian::{Gaussian, GaussianMap, RasterSettings, Shape};
+use i2slam::radiance::gaussian::{
+    ColourActivation, Gaussian, GaussianMap, RasterSettings, Shape, ViewColour,
+};
 
 /// Gaussians that share bounds.
 pub(super) const CHUNK: usize = 256;
@@ -26,6 +33,9 @@ pub(super) const MIN_OPACITY: f32 = 1.0 / 255.0;
 pub(super) struct QuantisedMap {
     /// Number of Gaussians: those that can be seen.
     pub(super) count: usize,
+    /// View colours, and terms of all of them.
+    pub(super) view_colours: usize,
+    pub(super) view_terms: usize,
     /// The sections.
     pub(super) bytes: Vec<u8>,
 }
@@ -34,6 +44,8 @@ pub(super) struct QuantisedMap {
 const STEPS_8: f32 = 255.0;
 const STEPS_10: f32 = 1023.0;
 const STEPS_16: f32 = 65535.0;
+/// Steps of a coefficient of a view colour from 0 to 1.
+const COEFFICIENT_STEPS: f32 = 2048.0;
 
 /// The largest absolute value of a component of a unit quaternion that is not the largest.
 const QUATERNION_RANGE: f32 = std::f32::consts::FRAC_1_SQRT_2;
@@ -41,55 +53,80 @@ const QUATERNION_RANGE: f32 = std::f32::consts::FRAC_1_SQRT_2;
 /// Quantises the Gaussians that can be seen: finite, and at least as opaque as [`MIN_OPACITY`].
 pub(super) fn quantised(map: &GaussianMap<f32>) -> QuantisedMap {
     debug_assert_eq!(MIN_OPACITY, RasterSettings::default().alpha_min);
-    let seen: Vec<Gaussian<f32>> = map.iter().filter_map(|g| drawable(g, map.shape)).collect();
-    let ordered = morton_order(seen);
-    let mut sections: [Vec<u8>; 6] = Default::default();
+    let seen: Vec<Drawn<'_>> = (0..map.len()).filter_map(|i| drawable(map, i)).collect();
+    let ordered = ordered(seen);
+    let mut sections: [Vec<u8>; 10] = Default::default();
     for chunk in ordered.chunks(CHUNK) {
-        let bounds = Bounds::of(chunk);
+        let bounds = Bounds::of(chunk.iter().map(|drawn| &drawn.gaussian));
         sections[0].extend(bounds.values().flat_map(f32::to_le_bytes));
-        for g in chunk {
+        for Drawn { gaussian: g, view } in chunk {
             sections[1].extend(packed_rotation(g.rotation).to_le_bytes());
             let [r, gr, b] = bounds.place(COLOUR, g.colour, STEPS_10);
             sections[2].extend((r | gr << 10 | b << 20).to_le_bytes());
             let mean = bounds.place(MEAN, g.mean, STEPS_16);
-            sections[3].extend(mean.into_iter().flat_map(|v| (v as u16).to_le_bytes()));
-            sections[4].extend(bounds.place(LOG_SCALE, g.log_scale, STEPS_8).map(|v| v as u8));
+            sections[4].extend(mean.into_iter().flat_map(|v| (v as u16).to_le_bytes()));
+            sections[7].extend(bounds.place(LOG_SCALE, g.log_scale, STEPS_8).map(|v| v as u8));
             let share = (opacity(g) - MIN_OPACITY) / (1.0 - MIN_OPACITY);
-            sections[5].push((share * STEPS_8).round() as u8);
+            sections[8].push((share * STEPS_8).round() as u8);
+            if let Some(ViewColour { cone, coefficients }) = view {
+                sections[3].extend(packed_rotation(cone.rotation).to_le_bytes());
+                let spread = (cone.spread * STEPS_16).round() as u16;
+                sections[5].extend(spread.max(1).to_le_bytes());
+                let values = coefficients.as_flattened().iter();
+                let steps = values.map(|v| (v * COEFFICIENT_STEPS).round() as i16);
+                sections[6].extend(steps.flat_map(i16::to_le_bytes));
+                sections[9].push(coefficients.len() as u8);
+            }
         }
     }
-    QuantisedMap { count: ordered.len(), bytes: sections.concat() }
+    QuantisedMap {
+        count: ordered.len(),
+        view_colours: sections[9].len(),
+        view_terms: sections[6].len() / 6,
+        bytes: sections.concat(),
+    }
+}
+
+/// A Gaussian that is drawn, with its view colour.
+struct Drawn<'a> {
+    gaussian: Gaussian<f32>,
+    view: Option<ViewColour<'a, f32>>,
 }
 
 fn opacity(g: &Gaussian<f32>) -> f32 {
     (1.0 + (-g.opacity_logit).exp()).recip()
 }
 
-/// The Gaussian with three scales and a unit quaternion; `None` if it is never drawn.
-fn drawable(g: Gaussian<f32>, shape: Shape) -> Option<Gaussian<f32>> {
+/// The Gaussian with three scales and a unit quaternion; `None` if it is never drawn. Only colours
+/// that are logarithms depend on the view.
+fn drawable(map: &GaussianMap<f32>, index: usize) -> Option<Drawn<'_>> {
+    let g = map.get(index)?;
     let norm = g.rotation.iter().map(|v| v * v).sum::<f32>().sqrt();
-    let (log_scale, rotation) = match shape {
+    let (log_scale, rotation) = match map.shape {
         Shape::Isotropic => ([g.log_scale[0]; 3], [1.0, 0.0, 0.0, 0.0]),
         Shape::Anisotropic => (g.log_scale, g.rotation.map(|v| v / norm)),
     };
-    let g = Gaussian { log_scale, rotation, ..g };
-    let values: [&[f32]; 4] = [&g.mean, &g.log_scale, &g.rotation, &g.colour];
+    let gaussian = Gaussian { log_scale, rotation, ..g };
+    let view = map.view_colours.get(index);
+    let view = view.filter(|_| map.activation == ColourActivation::Exponential);
+    let coefficients = view.map_or(&[][..], |view| view.coefficients).as_flattened();
+    let values: [&[f32]; 5] =
+        [&g.mean, &gaussian.log_scale, &gaussian.rotation, &g.colour, coefficients];
     let finite = values.into_iter().flatten().all(|v| v.is_finite());
-    (finite && opacity(&g) >= MIN_OPACITY).then_some(g)
+    (finite && opacity(&g) >= MIN_OPACITY).then_some(Drawn { gaussian, view })
 }
 
-/// Orders Gaussians along a Morton curve through their bounding box, so that neighbours share a chunk.
-fn morton_order(gaussians: Vec<Gaussian<f32>>) -> Vec<Gaussian<f32>> {
-    let bounds = Bounds::of(&gaussians);
-    let mut keyed: Vec<(u64, Gaussian<f32>)> = gaussians
-        .into_iter()
-        .map(|g| {
-            let cell = bounds.place(MEAN, g.mean, ((1_u32 << MORTON_BITS) - 1) as f32);
-            (morton(cell), g)
-        })
-        .collect();
-    keyed.sort_by_key(|(key, _)| *key);
-    keyed.into_iter().map(|(_, g)| g).collect()
+/// Orders Gaussians along a Morton curve through their bounding box, so that neighbours share a chunk;
+/// those with a view colour first.
+fn ordered(gaussians: Vec<Drawn<'_>>) -> Vec<Drawn<'_>> {
+    let bounds = Bounds::of(gaussians.iter().map(|drawn| &drawn.gaussian));
+    let key = |drawn: &Drawn<'_>| {
+        let steps = ((1_u32 << MORTON_BITS) - 1) as f32;
+        (drawn.view.is_none(), morton(bounds.place(MEAN, drawn.gaussian.mean, steps)))
+    };
+    let mut ordered = gaussians;
+    ordered.sort_by_cached_key(key);
+    ordered
 }
 
 /// Bits of a coordinate on the Morton curve.
@@ -115,7 +152,7 @@ struct Bounds {
 }
 
 impl Bounds {
-    fn of(gaussians: &[Gaussian<f32>]) -> Self {
+    fn of<'a>(gaussians: impl Iterator<Item = &'a Gaussian<f32>>) -> Self {
         let mut bounds = Self { low: [f32::INFINITY; 9], high: [f32::NEG_INFINITY; 9] };
         for g in gaussians {
             let values = [g.mean, g.log_scale, g.colour].into_iter().flatten();
@@ -157,16 +194,29 @@ fn packed_rotation(rotation: [f32; 4]) -> u32 {
 pub(super) mod tests {
     use super::*;
     use i2slam::geometry::{Camera, Pose};
-    use i2slam::radiance::gaussian::ColourActivation;
+    use i2slam::radiance::gaussian::Cone;
     use i2slam::radiance::{RadianceMap, Render, View};
     use i2slam_check::noise;
 
     /// Reads what [`quantised`] wrote, as `page/decode.js` does.
     fn restored(quantised: &QuantisedMap, activation: ColourActivation) -> GaussianMap<f32> {
         let (n, bytes) = (quantised.count, &quantised.bytes);
-        let lengths = [72 * n.div_ceil(CHUNK), 4 * n, 4 * n, 6 * n, 3 * n, n];
+        let (m, terms) = (quantised.view_colours, quantised.view_terms);
+        let lengths =
+            [72 * n.div_ceil(CHUNK), 4 * n, 4 * n, 4 * m, 6 * n, 2 * m, 6 * terms, 3 * n, n, m];
         let mut at = 0;
-        let [bounds, rotations, colours, means, scales, opacities] = lengths.map(|length| {
+        let [
+            bounds,
+            rotations,
+            colours,
+            cones,
+            means,
+            spreads,
+            coefficients,
+            scales,
+            opacities,
+            terms,
+        ] = lengths.map(|length| {
             at += length;
             &bytes[at - length..at]
         });
@@ -194,6 +244,22 @@ pub(super) mod tests {
                 opacity_logit: (opacity / (1.0 - opacity).max(1e-6)).ln(),
                 colour: std::array::from_fn(|k| between(COLOUR + k, tenth(k))),
             });
+        }
+        let short = |section: &[u8], i: usize| [section[2 * i], section[2 * i + 1]];
+        let mut first = 0;
+        for i in 0..m {
+            let spread = f32::from(u16::from_le_bytes(short(spreads, i))) / STEPS_16;
+            let coefficient = |row: usize| {
+                std::array::from_fn(|c| {
+                    let value = i16::from_le_bytes(short(coefficients, 3 * row + c));
+                    f32::from(value) / COEFFICIENT_STEPS
+                })
+            };
+            let end = first + usize::from(terms[i]);
+            let rows: Vec<[f32; 3]> = (first..end).map(coefficient).collect();
+            let rotation = unpacked_rotation(word(cones, i));
+            map.view_colours.push(i, Cone { rotation, spread }, &rows);
+            first = end;
         }
         map
     }
@@ -224,6 +290,14 @@ pub(super) mod tests {
                 colour: [3.0 * n[11], -3.0 * n[11], 1.5 * (n[0] + n[1])],
             });
         }
+        for (i, n) in noise.as_chunks::<12>().0.iter().enumerate().step_by(3) {
+            let n = n.map(|v| v as f32);
+            let cone = Cone { rotation: [1.0, 0.2 * n[0], 0.2 * n[1], 0.0], spread: 0.3 };
+            let norm = cone.rotation.iter().map(|v| v * v).sum::<f32>().sqrt();
+            let cone = Cone { rotation: cone.rotation.map(|v| v / norm), ..cone };
+            let rows = [[n[3], n[4], n[5]], [n[6], n[7], n[8]]];
+            map.view_colours.push(i, cone, &rows);
+        }
         let last = map.get(0).expect("a Gaussian");
         map.push(Gaussian { mean: [f32::NAN; 3], ..last });
         map.push(Gaussian { opacity_logit: -6.0, ..last });
@@ -252,7 +326,13 @@ pub(super) mod tests {
         assert_eq!(quantised.count, map.len() - 2 - never_seen(&map));
         assert_eq!(
             quantised.bytes.len(),
-            18 * quantised.count + 72 * quantised.count.div_ceil(CHUNK)
+            18 * quantised.count
+                + 72 * quantised.count.div_ceil(CHUNK)
+                + 7 * quantised.view_colours
+                + 6 * quantised.view_terms
+        );
+        assert!(
+            quantised.view_colours > 1000 && quantised.view_terms == 2 * quantised.view_colours
         );
         let restored = restored(&quantised, map.activation);
         let (before, after) = (pictures_of(&map), pictures_of(&restored));
@@ -264,6 +344,9 @@ pub(super) mod tests {
         let mut off = restored;
         off.colours.iter_mut().for_each(|c| c[1] += 0.1);
         assert!(self::psnr(&before, &pictures_of(&off)) < 40.0);
+        let mut flat = map.clone();
+        flat.view_colours = Default::default();
+        assert!(self::psnr(&before, &pictures_of(&flat)) < 40.0);
     }
 
     /// Gaussians of [`wall`] that are too transparent, but for its last two.

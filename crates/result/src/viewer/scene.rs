@@ -1,6 +1,7 @@
 //! What the page knows beside the Gaussians: camera, frames with their tone, responses, path.
 
 use super::ViewerPage;
+use super::quantise::QuantisedMap;
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use i2slam::FrameEstimate;
@@ -20,6 +21,9 @@ const MAX_PATH: usize = 2000;
 pub(super) struct Scene {
     gaussians: usize,
     chunk: usize,
+    /// View colours, of the first Gaussians, and terms of all of them.
+    view_colours: usize,
+    view_terms: usize,
     /// Whether colours are logarithms of radiance; otherwise picture values.
     logarithmic: bool,
     /// Whether pictures are formed by exposure, white balance and response.
@@ -72,10 +76,10 @@ struct SceneFrame {
 }
 
 impl Scene {
-    /// The scene of a map of so many Gaussians; `picture` gives the address of the picture of a frame.
+    /// The scene of a map; `picture` gives the address of the picture of a frame.
     pub(super) fn new(
         page: &ViewerPage<'_>,
-        gaussians: usize,
+        map: &QuantisedMap,
         activation: ColourActivation,
         mut picture: impl FnMut(&FrameEstimate) -> String,
     ) -> Self {
@@ -109,7 +113,9 @@ impl Scene {
         });
         Self {
             frames: frames.collect(),
-            gaussians,
+            gaussians: map.count,
+            view_colours: map.view_colours,
+            view_terms: map.view_terms,
             chunk: super::quantise::CHUNK,
             logarithmic: activation == ColourActivation::Exponential,
             tone: reconstruction.config.formation.tone,
@@ -180,9 +186,11 @@ fn response_table(curve: &ResponseCurve<f32>, channel: usize) -> Vec<u8> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::quantise::quantised;
     use super::*;
     use crate::tests::example;
     use i2slam::formation::{CameraResponse, NodeSpacing, StartCurve};
+    use i2slam::radiance::gaussian::{GaussianMap, Shape};
 
     #[test]
     fn long_sequences_show_an_even_choice_of_tracked_frames() {
@@ -226,8 +234,9 @@ mod tests {
         reconstruction.responses.extend([more.clone(), more]);
         reconstruction.frames[5].response = 2;
         let exponential = ColourActivation::Exponential;
+        let map = quantised(&GaussianMap::new(Shape::Isotropic, exponential));
         let page = ViewerPage::of("x", &reconstruction);
-        let scene = Scene::new(&page, 7, exponential, |_| "</script>".into());
+        let scene = Scene::new(&page, &map, exponential, |_| "</script>".into());
         assert_eq!(scene.responses.len(), 2);
         let places: Vec<usize> = scene.frames.iter().map(|frame| frame.response).collect();
         assert_eq!(places, [0, 0, 0, 0, 1, 0, 0]);

@@ -49,6 +49,7 @@ impl Anchors {
             let quaternion = map.rotations[gaussian];
             map.rotations[gaussian] =
                 product.map(|row| row.iter().zip(quaternion).map(|(p, q)| p * q).sum());
+            map.view_colours.rotate(gaussian, rotation);
             optimizer.rotate(gaussian, &rotation.matrix().rows, &product);
         }
     }

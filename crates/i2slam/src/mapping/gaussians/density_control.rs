@@ -98,7 +98,9 @@ pub(super) fn prune(map: &mut GaussianMap, max_scale: f32) -> Vec<bool> {
     let keep: Vec<bool> = (0..map.len())
         .map(|i| {
             let scale = map.log_scales[i].iter().copied().fold(f32::NEG_INFINITY, f32::max);
-            let finite = map.means[i].iter().chain(&map.colours[i]).all(|v| v.is_finite());
+            let view = map.view_colours.get(i).map_or(&[][..], |view| view.coefficients);
+            let values = map.means[i].iter().chain(&map.colours[i]).chain(view.as_flattened());
+            let finite = values.into_iter().all(|v| v.is_finite());
             finite && map.opacity_logits[i] >= min_logit && scale <= max_log_scale
         })
         .collect();

@@ -8,6 +8,7 @@ mod optimizer;
 mod partition;
 mod scale_bounds;
 mod splitting;
+mod view_dependence;
 mod visibility;
 
 use super::context::IterationBudget;
@@ -35,6 +36,7 @@ use splitting::split_gaussians;
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 use std::sync::Arc;
+use view_dependence::ViewDependence;
 
 /// Share of the capacity to which a full map is merged.
 const MERGED_SHARE: f64 = 0.9;
@@ -92,6 +94,19 @@ impl GaussianMapper {
         if keep.contains(&false) {
             self.retain(&keep);
         }
+    }
+
+    /// Gives a view colour to the Gaussians whose colour depends on the direction.
+    fn add_view_colours(&mut self, context: &MappingContext<'_>) {
+        let mut dependence = ViewDependence::new(self.current.map.len());
+        for keyframe in context.keyframes {
+            let observation = keyframe.observation.get();
+            let origin = context.frames[keyframe.frame].middle().translation.cast();
+            let view = (keyframe, &*observation);
+            let gradient = self.optimizer.gradient(context, &mut self.current, view);
+            dependence.add(&self.current.map, gradient, origin);
+        }
+        self.current.map.view_colours = dependence.view_colours();
     }
 
     /// Drops optimiser state and anchors of removed Gaussians.
@@ -293,7 +308,8 @@ impl Mapper for GaussianMapper {
     }
 
     /// Steps over all keyframes in random order, each equally often, then prunes. Flat Gaussians are
-    /// split first where at least a third of all steps is left to fit the parts.
+    /// split first where at least a third of all steps is left to fit the parts. View colours begin
+    /// with the second part, when exposures have settled, which they would explain otherwise.
     fn refine_all(
         &mut self,
         context: &mut MappingContext<'_>,
@@ -304,6 +320,10 @@ impl Mapper for GaussianMapper {
         if splits && self.current.map.shape == Shape::Anisotropic {
             context.keyframes.iter().for_each(|keyframe| self.split(context, keyframe));
             self.enforce_capacity(context);
+            let view_dependent = context.config.map.view_dependent && context.config.formation.tone;
+            if view_dependent && steps.start > 0 {
+                self.add_view_colours(context);
+            }
         }
         let (mut order, mut continues): (Vec<usize>, bool) = (Vec::new(), true);
         for step in steps {

@@ -5,7 +5,7 @@ use crate::mapping::context::MappingContext;
 use crate::mapping::frame_optimizer::{FrameOptimizers, adam};
 use crate::mapping::keyframe::Keyframe;
 use crate::mapping::mapper::ComparedMap;
-use crate::objective::{FrameVariables, Observation};
+use crate::objective::{Evaluation, FrameVariables, Observation};
 use i2slam_compute::Adam;
 use i2slam_formation::Formation;
 use i2slam_radiance::gaussian::{GaussianMap, MapGradient, Shape};
@@ -15,6 +15,8 @@ use rayon::prelude::*;
 const IMAGE_WEIGHT: f32 = 0.5;
 /// Share of 1 - SSIM in the image loss; the rest is L1 (SplaTAM).
 const SSIM_SHARE: f32 = 0.2;
+/// Learning rate of the coefficients of view colours, as a share of that of colours.
+const VIEW_COLOUR_RATE: f32 = 0.5;
 /// Learning rate of opacity logits (SplaTAM).
 const OPACITY_RATE: f32 = 0.05;
 
@@ -26,26 +28,31 @@ pub(crate) struct GaussianOptimizer {
     rotations: Adam,
     opacities: Adam,
     colours: Adam,
+    view_colours: Adam,
     step_counts: StepCounts,
+    /// Of each row of coefficients of view colours.
+    view_steps: StepCounts,
     frames: FrameOptimizers,
 }
 
 impl GaussianOptimizer {
     pub(crate) fn new() -> Self {
         Self {
-            gradient: MapGradient::new(0),
+            gradient: MapGradient::default(),
             means: adam(),
             log_scales: adam(),
             rotations: adam(),
             opacities: adam(),
             colours: adam(),
+            view_colours: adam(),
             step_counts: StepCounts::default(),
+            view_steps: StepCounts::default(),
             frames: FrameOptimizers::default(),
         }
     }
 
     pub(crate) fn reset(&mut self) {
-        let gradient = std::mem::replace(&mut self.gradient, MapGradient::new(0));
+        let gradient = std::mem::take(&mut self.gradient);
         *self = Self { gradient, ..Self::new() };
     }
 
@@ -57,6 +64,8 @@ impl GaussianOptimizer {
         self.rotations.retain(keep, 4);
         self.opacities.retain(keep, 1);
         self.colours.retain(keep, 3);
+        self.view_colours.reset();
+        self.view_steps = StepCounts::default();
     }
 
     /// Rotates the moments of a Gaussian's mean and quaternion.
@@ -77,6 +86,29 @@ impl GaussianOptimizer {
         target: &mut ComparedMap<GaussianMap>,
         (keyframe, observation): (&Keyframe, &Observation),
     ) {
+        let mut evaluation = self.evaluate(context, target, (keyframe, observation));
+        self.step_map(context.config, &mut target.map);
+        let gauge_frame = context.gauge_frame(keyframe);
+        self.frames.step(context, keyframe.frame, gauge_frame, &mut evaluation);
+    }
+
+    /// The derivative of the loss of one keyframe by the map.
+    pub(crate) fn gradient(
+        &mut self,
+        context: &MappingContext<'_>,
+        target: &mut ComparedMap<GaussianMap>,
+        (keyframe, observation): (&Keyframe, &Observation),
+    ) -> &MapGradient {
+        self.evaluate(context, target, (keyframe, observation));
+        &self.gradient
+    }
+
+    fn evaluate(
+        &mut self,
+        context: &MappingContext<'_>,
+        target: &mut ComparedMap<GaussianMap>,
+        (keyframe, observation): (&Keyframe, &Observation),
+    ) -> Evaluation {
         let ComparedMap { map, objective } = target;
         let config = context.config;
         let estimate = &context.frames[keyframe.frame];
@@ -85,23 +117,21 @@ impl GaussianOptimizer {
             exposure: context.exposure(keyframe.frame, observation),
             tone: curve.as_ref().map(|curve| Formation { tone: estimate.tone, curve }),
         };
-        self.gradient.reset(map.len());
-        let mut evaluation = objective.map(
+        self.gradient.reset(map);
+        objective.map(
             map,
             observation,
             &variables,
             SSIM_SHARE,
             (IMAGE_WEIGHT, config.mapping.depth_weight),
             &mut self.gradient,
-        );
-        self.step_map(config, map);
-        let gauge_frame = context.gauge_frame(keyframe);
-        self.frames.step(context, keyframe.frame, gauge_frame, &mut evaluation);
+        )
     }
 
     fn step_map(&mut self, config: &Config, map: &mut GaussianMap) {
         let (rates, gradient) = (&config.parameters.gaussians, &self.gradient);
-        let step_counts = self.step_counts.advance(gradient, rates.selective_adam);
+        let all = !rates.selective_adam;
+        let step_counts = self.step_counts.advance(map.len(), |i| all || has_gradient(gradient, i));
         if step_counts.is_empty() {
             return;
         }
@@ -135,13 +165,34 @@ impl GaussianOptimizer {
                 step_counts,
             ),
         }
+        self.step_view_colours(VIEW_COLOUR_RATE * rates.colour_rate, map);
+    }
+
+    /// Steps the coefficients of view colours that are seen.
+    fn step_view_colours(&mut self, rate: f32, map: &mut GaussianMap) {
+        let (gradient, adam) = (self.gradient.view_colours.as_flattened(), &mut self.view_colours);
+        let moves = |i: usize| gradient[3 * i..3 * i + 3].iter().any(|&g| g != 0.0);
+        let step_counts = self.view_steps.advance(gradient.len() / 3, moves);
+        adam.step_elements(
+            map.view_colours.coefficients_mut().as_flattened_mut(),
+            gradient,
+            rate,
+            3,
+            step_counts,
+        );
     }
 }
 
-/// Gaussians whose steps are counted in one task, at least.
-const MIN_TASK_GAUSSIANS: usize = 8192;
+/// True if a Gaussian has a gradient: without, momentum alone would move it on.
+fn has_gradient(gradient: &MapGradient, i: usize) -> bool {
+    let derivatives = gradient.colours[i].iter().chain(&gradient.means[i]);
+    gradient.opacity_logits[i] != 0.0 || derivatives.into_iter().any(|&g| g != 0.0)
+}
 
-/// Optimiser steps that each Gaussian has taken.
+/// Elements whose steps are counted in one task, at least.
+const MIN_TASK_ELEMENTS: usize = 8192;
+
+/// Optimiser steps that each element has taken.
 #[derive(Default)]
 struct StepCounts {
     steps: Vec<u32>,
@@ -150,18 +201,13 @@ struct StepCounts {
 }
 
 impl StepCounts {
-    /// Counts a step; returns the counts of the Gaussians that take it, 0 for the others. With
-    /// `only_seen`, those without a gradient take none, so that momentum does not move them on.
-    fn advance(&mut self, gradient: &MapGradient, only_seen: bool) -> &[u32] {
-        let count = gradient.opacity_logits.len();
+    /// Counts a step of so many elements; returns the counts of those that take it, 0 for the others.
+    fn advance(&mut self, count: usize, moves: impl Fn(usize) -> bool + Sync) -> &[u32] {
         self.steps.resize(count, 0);
         self.active.resize(count, 0);
         let counts = self.steps.par_iter_mut().zip(&mut self.active).enumerate();
-        counts.with_min_len(MIN_TASK_GAUSSIANS).for_each(|(i, (steps, active))| {
-            let derivatives = gradient.colours[i].iter().chain(&gradient.means[i]);
-            let moves = !only_seen
-                || gradient.opacity_logits[i] != 0.0
-                || derivatives.into_iter().any(|&g| g != 0.0);
+        counts.with_min_len(MIN_TASK_ELEMENTS).for_each(|(i, (steps, active))| {
+            let moves = moves(i);
             *steps += u32::from(moves);
             *active = if moves { *steps } else { 0 };
         });
@@ -178,17 +224,28 @@ impl StepCounts {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use i2slam_radiance::gaussian::{ColourActivation, Gaussian};
 
     #[test]
     fn only_seen_gaussians_count_a_step() {
+        let mut map = GaussianMap::new(Shape::Anisotropic, ColourActivation::Exponential);
+        (0..3).for_each(|_| {
+            map.push(Gaussian {
+                mean: [0.0; 3],
+                log_scale: [0.0; 3],
+                rotation: [1.0, 0.0, 0.0, 0.0],
+                opacity_logit: 0.0,
+                colour: [0.0; 3],
+            })
+        });
         let mut step_counts = StepCounts::default();
-        let mut gradient = MapGradient::new(3);
+        let mut gradient = MapGradient::new(&map);
         gradient.colours[1][2] = 0.5;
-        assert_eq!(step_counts.advance(&gradient, true), [0, 1, 0]);
-        assert_eq!(step_counts.advance(&gradient, false), [1, 2, 1]);
+        assert_eq!(step_counts.advance(3, |i| has_gradient(&gradient, i)), [0, 1, 0]);
+        assert_eq!(step_counts.advance(3, |_| true), [1, 2, 1]);
         step_counts.retain(&[false, true, true]);
-        gradient.reset(2);
+        gradient.colours[1][2] = 0.0;
         gradient.opacity_logits[0] = -1.0;
-        assert_eq!(step_counts.advance(&gradient, true), [3, 0]);
+        assert_eq!(step_counts.advance(2, |i| has_gradient(&gradient, i)), [3, 0]);
     }
 }

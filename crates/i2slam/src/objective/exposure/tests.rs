@@ -155,7 +155,7 @@ fn patches_pull_back_to_poses_readout_and_map() {
         let loss = |hdr: &Image<f32>| -> f64 {
             hdr.data.iter().zip(&weights.data).map(|(v, w)| f64::from(v * w)).sum()
         };
-        let mut d_map = MapGradient::new(map.len());
+        let mut d_map = MapGradient::new(&map);
         let mut none = Image::new(CAMERA.width, CAMERA.height, 1);
         let (d_shutter, d_readout) = renderer.backward(
             &map,

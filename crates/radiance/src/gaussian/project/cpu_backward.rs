@@ -62,7 +62,8 @@ impl Footprints<'_> {
             None => sums.for_each(|(chunk, sum)| *sum = self.pull_back_chunk(chunk, None)),
             Some(gradient) => {
                 assert_eq!(gradient.len(), self.map.len(), "gradient and map differ in size");
-                sums.zip(gradient.par_rows(CHUNK)).for_each(|((chunk, sum), rows)| {
+                let rows = gradient.par_rows(&self.map.view_colours, CHUNK);
+                sums.zip(rows).for_each(|((chunk, sum), rows)| {
                     *sum = self.pull_back_chunk(chunk, Some(rows));
                 });
             }
@@ -143,13 +144,37 @@ impl<const ANISOTROPIC: bool, const MAP: bool> WithSimd for PullBack<'_, ANISOTR
                         sums.ends[end][k] += f64::from(group.ends[end][k][place]);
                     }
                 }
+                let index = sort::index(*item);
+                let mut gradient = group.gradient(place);
+                if !map.view_colours.is_empty() {
+                    let d_colour = group.colour_cotangent(place, frame.activation);
+                    let d_mean = self.pull_back_view(index, d_colour);
+                    (0..3).for_each(|k| gradient.mean[k] += d_mean[k]);
+                    let d_centre = frame.to_camera(d_mean);
+                    (0..3).for_each(|k| sums.middle[k] -= f64::from(d_centre[k]));
+                }
                 if let Some(rows) = &mut self.rows {
-                    let row = sort::index(*item) - self.chunk * CHUNK;
-                    rows.add(row, &group.gradient(place), group.weight[place] > 0.0);
+                    let row = index - self.chunk * CHUNK;
+                    rows.add(row, &gradient, group.weight[place] > 0.0);
                 }
             }
         }
         sums
+    }
+}
+
+impl<const ANISOTROPIC: bool, const MAP: bool> PullBack<'_, ANISOTROPIC, MAP> {
+    /// Through the view colour of a Gaussian, if it has one, to its coefficients; `∂L/∂mean`.
+    fn pull_back_view(&mut self, index: usize, d_colour: [f32; 3]) -> [f32; 3] {
+        let Footprints { map, frame, .. } = self.footprints;
+        let Some(view) = map.view_colours.get(index) else { return [0.0; 3] };
+        let rows = self.rows.as_mut().and_then(|rows| {
+            let mut chunk = self.chunk * CHUNK..index + 1;
+            let first = chunk.find_map(|i| map.view_colours.range(i))?.start;
+            let range = map.view_colours.range(index)?;
+            rows.view_colours.get_mut(range.start - first..range.end - first)
+        });
+        view.pull_back(map.means[index], frame.origin, d_colour, rows)
     }
 }
 
@@ -215,6 +240,14 @@ impl Group {
             opacity_logit: self.d_opacity_logit[place],
             colour: [c[0][place], c[1][place], c[2][place]],
         }
+    }
+
+    /// `∂L/∂` of the colour that is seen.
+    pub(super) fn colour_cotangent(&self, place: usize, activation: ColourActivation) -> [f32; 3] {
+        std::array::from_fn(|c| match activation {
+            ColourActivation::Linear => self.d_radiance[c][place],
+            ColourActivation::Exponential => self.d_radiance[c][place] * self.radiance[c][place],
+        })
     }
 
     #[inline(always)]

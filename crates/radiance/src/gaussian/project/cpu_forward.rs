@@ -91,7 +91,7 @@ impl WithSimd for Project<'_> {
             for (place, &row) in chosen.iter().enumerate() {
                 let index = self.start + usize::from(row);
                 group.parameters.set(place, self.map, index);
-                put(&mut group.radiance, place, &self.map.colours[index]);
+                put(&mut group.radiance, place, &self.map.colour_from(index, self.frame.origin));
             }
             match self.frame.shape {
                 Shape::Isotropic => {

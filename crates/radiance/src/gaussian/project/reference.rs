@@ -52,9 +52,9 @@ pub(crate) struct Projector<T> {
     activation: ColourActivation,
     camera: Camera<T>,
     /// `W`.
-    camera_from_world: Mat3<T>,
+    pub(crate) camera_from_world: Mat3<T>,
     /// The camera's centre in the world.
-    origin: Vec3<T>,
+    pub(crate) origin: Vec3<T>,
     ends: Ends<T>,
     range: JacobianRange<T>,
     near: T,

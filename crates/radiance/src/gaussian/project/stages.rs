@@ -15,7 +15,7 @@ pub(crate) struct Frame {
     pub(crate) camera_from_world: [[f32; 3]; 3],
     pub(crate) world_from_camera: [[f32; 3]; 3],
     /// The camera's centre in the world.
-    origin: [f32; 3],
+    pub(crate) origin: [f32; 3],
     range: JacobianRange<f32>,
     pub(crate) settings: RasterSettings,
     pub(crate) log2_alpha_min: f32,
@@ -96,6 +96,11 @@ impl Frame {
             settings: *settings,
             log2_alpha_min: settings.alpha_min.log2(),
         }
+    }
+
+    /// A vector of the world in the camera's axes.
+    pub(crate) fn to_camera(&self, v: [f32; 3]) -> [f32; 3] {
+        self.camera_from_world.map(|row| row[0] * v[0] + row[1] * v[1] + row[2] * v[2])
     }
 
     /// The border of the Jacobian's range on one axis.

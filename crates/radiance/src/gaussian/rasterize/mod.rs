@@ -178,7 +178,7 @@ impl RadianceMap for GaussianMap {
             bins,
             tiles,
             cotangent: cotangent.planes(grid.width, grid.height),
-            with_map: gradient.is_some(),
+            with_map: gradient.is_some() || !self.view_colours.is_empty(),
         };
         let mut seconds = rasterizer.seconds;
         slots.resize(bins.len(), TileSums::default());
@@ -242,7 +242,7 @@ impl RadianceMap for GaussianMap {
             tiles: &rasterizer.tiles,
             states: &rasterizer.states,
             cotangent: cotangent.planes(rasterizer.grid.width, rasterizer.grid.height),
-            with_map: gradient.is_some(),
+            with_map: gradient.is_some() || !self.view_colours.is_empty(),
         };
         moving::pull_back(&picture, &mut slots, &mut motion_slots);
         (rasterizer.slots, rasterizer.motion_slots) = (slots, motion_slots);

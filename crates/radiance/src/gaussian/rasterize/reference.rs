@@ -7,11 +7,11 @@ use crate::gaussian::project::reference::{
     Footprint, FootprintCotangent, PoseCotangents, Projector,
 };
 use crate::gaussian::{
-    GaussianMap, MapGradient, MotionGradient, RasterSettings, Render, RenderCotangent,
+    Gaussian, GaussianMap, MapGradient, MotionGradient, RasterSettings, Render, RenderCotangent,
     ShutterMotion, View,
 };
 use crate::shutter_motion::row_place;
-use i2slam_geometry::{Camera, Real, Tangent};
+use i2slam_geometry::{Camera, Real, Tangent, Vec3};
 
 /// Renders `view`.
 pub fn render<T: Real>(
@@ -118,8 +118,10 @@ fn project<T: Real>(
     settings: &RasterSettings,
 ) -> Vec<Footprint<T>> {
     let projector = Projector::new(map, view, motion, settings);
-    let mut footprints: Vec<_> =
-        map.iter().enumerate().filter_map(|(i, g)| projector.project(i, &g)).collect();
+    let origin = view.world_from_camera.translation.to_array();
+    let seen = |(i, g)| (i, Gaussian { colour: map.colour_from(i, origin), ..g });
+    let all = map.iter().enumerate().map(seen);
+    let mut footprints: Vec<_> = all.filter_map(|(i, g)| projector.project(i, &g)).collect();
     footprints.sort_by(|a, b| a.depth.to_f64().total_cmp(&b.depth.to_f64()));
     footprints
 }
@@ -251,8 +253,17 @@ fn pull_back_projection<T: Real>(
     for ((footprint, sum), seen) in footprints.iter().zip(&sums.cotangents).zip(&sums.seen) {
         let i = footprint.index;
         let Some(gaussian) = map.get(i) else { continue };
-        let Some((g, d)) = projector.pull_back(&gaussian, footprint, sum) else { continue };
+        let Some((mut g, d)) = projector.pull_back(&gaussian, footprint, sum) else { continue };
         poses.middle = poses.middle.plus(d.middle);
+        if let Some(view) = map.view_colours.get(i) {
+            let rows = map_gradient.as_deref_mut().zip(map.view_colours.range(i));
+            let rows = rows.map(|(out, range)| &mut out.view_colours[range]);
+            let origin = projector.origin.to_array();
+            let d_mean = view.pull_back(gaussian.mean, origin, g.colour, rows);
+            (0..3).for_each(|k| g.mean[k] += d_mean[k]);
+            let translation = -(projector.camera_from_world * Vec3::from_array(d_mean));
+            poses.middle = poses.middle.plus(Tangent { translation, rotation: Vec3::zero() });
+        }
         poses.ends = [0, 1].map(|end| poses.ends[end].plus(d.ends[end]));
         if let Some(out) = map_gradient.as_deref_mut() {
             out.rows().add(i, &g, *seen);

@@ -44,7 +44,9 @@ fn cases() -> Vec<Case> {
             }
         }
         let recipe = Recipe::new(shape, ColourActivation::Exponential);
-        add("moving", Recipe { count: 9, margin: 0.3, sigma: [1.0, 4.0], ..recipe }, motion());
+        let moving = Recipe { count: 9, margin: 0.3, sigma: [1.0, 4.0], ..recipe };
+        add("moving", moving, motion());
+        add("glossy, moving", Recipe { has_view_colours: true, ..moving }, motion());
     }
     cases
 }
@@ -75,7 +77,7 @@ impl Case {
 #[test]
 fn map_gradients_agree_with_central_differences() {
     for case in cases() {
-        let mut g = MapGradient::new(case.map.len());
+        let mut g = MapGradient::new(&case.map);
         case.pull_back(&mut g);
         let map = &case.map;
         case.check("means", &flat(&map.means), &flat(&g.means), |c, x| c.map.means = from_flat(x));
@@ -88,6 +90,12 @@ fn map_gradients_agree_with_central_differences() {
         case.check("scales", &flat(&map.log_scales), &flat(&g.log_scales), |c, x| {
             c.map.log_scales = from_flat(x);
         });
+        let coefficients = map.view_colours.coefficients().as_flattened();
+        if !coefficients.is_empty() {
+            case.check("view colours", coefficients, g.view_colours.as_flattened(), |c, x| {
+                c.map.view_colours.coefficients_mut().as_flattened_mut().copy_from_slice(x);
+            });
+        }
         if map.shape == Shape::Anisotropic {
             case.check("rotations", &flat(&map.rotations), &flat(&g.rotations), |c, x| {
                 c.map.rotations = from_flat(x);
@@ -100,7 +108,7 @@ fn map_gradients_agree_with_central_differences() {
 fn pose_and_motion_gradients_agree_with_central_differences() {
     let tangent = |x: &[f64]| Tangent::from_array([x[0], x[1], x[2], x[3], x[4], x[5]]);
     for case in cases() {
-        let g = case.pull_back(&mut MapGradient::new(case.map.len()));
+        let g = case.pull_back(&mut MapGradient::new(&case.map));
         let middle = case.view.world_from_camera;
         case.check("pose", &[0.0; 6], &g.pose.to_array(), |c, x| {
             c.view.world_from_camera = middle.retract(tangent(x));
@@ -122,7 +130,7 @@ fn gradients_hold_where_alpha_is_cut() {
     let mut case = cases().remove(0);
     case.settings.alpha_max = 0.4;
     case.map.opacity_logits.fill(1.0);
-    let mut g = MapGradient::new(case.map.len());
+    let mut g = MapGradient::new(&case.map);
     case.pull_back(&mut g);
     case.check("colours", &flat(&case.map.colours), &flat(&g.colours), |c, x| {
         c.map.colours = from_flat(x);
@@ -132,7 +140,7 @@ fn gradients_hold_where_alpha_is_cut() {
 #[test]
 fn gradients_accumulate() {
     let case = cases().remove(2);
-    let mut once = MapGradient::new(case.map.len());
+    let mut once = MapGradient::new(&case.map);
     case.pull_back(&mut once);
     let mut twice = once.clone();
     case.pull_back(&mut twice);

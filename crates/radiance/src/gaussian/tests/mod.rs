@@ -45,12 +45,23 @@ pub(super) struct Recipe {
     /// Largest distance of centres from the image, as a part of its size.
     pub(super) margin: f64,
     pub(super) seed: u64,
+    /// Whether every second Gaussian shows another colour from each direction.
+    pub(super) has_view_colours: bool,
 }
 
 impl Recipe {
     pub(super) fn new(shape: Shape, activation: ColourActivation) -> Self {
         let (sigma, logit) = ([0.8, 4.0], [-3.0, 3.0]);
-        Self { shape, activation, count: 300, sigma, logit, margin: 0.1, seed: 1 }
+        Self {
+            shape,
+            activation,
+            count: 300,
+            sigma,
+            logit,
+            margin: 0.1,
+            seed: 1,
+            has_view_colours: false,
+        }
     }
 
     /// Gaussians in front of the camera, at depths from 1 to 4 m in random order and 1 mm apart.
@@ -82,8 +93,25 @@ impl Recipe {
                 colour,
             });
         }
+        if self.has_view_colours {
+            let origin = view.world_from_camera.translation;
+            (0..self.count).step_by(2).for_each(|i| push_view_colour(&mut map, i, origin));
+        }
         map
     }
+}
+
+/// A view colour of degree 1 to 3 on a cone around about the direction from `origin`.
+fn push_view_colour(map: &mut GaussianMap<f64>, gaussian: usize, origin: Vec3<f64>) {
+    let n = noise(9 + gaussian as u64, 32);
+    let towards = (Vec3::from_array(map.means[gaussian]) - origin).to_array();
+    let [x, y, z] = [0, 1, 2].map(|k| towards[k] + 0.3 * n[27 + k]);
+    let norm = (x * x + y * y + z * z).sqrt();
+    // The shortest turn from the third axis.
+    let rotation = Rotation::from_wxyz(norm + z, -y, x, 0.0).expect("not backwards");
+    let rotation = [rotation.w, rotation.v.x, rotation.v.y, rotation.v.z];
+    let rows = &n.as_chunks::<3>().0[..TERMS[1 + gaussian / 2 % 3]];
+    map.view_colours.push(gaussian, Cone { rotation, spread: 0.2 }, rows);
 }
 
 /// Random cotangents of all five planes.

@@ -30,7 +30,7 @@ fn masked_on(
 ) -> Outcome {
     let (map, view, motion) = (case.map().cast(), case.view().cast(), motion.cast());
     let mut rasterizer = Rasterizer::on(arch, case.settings);
-    let (mut render, mut gradient) = (Render::default(), MapGradient::new(map.len()));
+    let (mut render, mut gradient) = (Render::default(), MapGradient::new(&map));
     map.render_moving(&mut rasterizer, &view, &motion, mask, None, &mut render);
     let rows = Some(&mut gradient);
     let d = map.pull_back_moving(&mut rasterizer, &view, &motion, cotangent, rows);
@@ -65,7 +65,7 @@ fn a_moving_camera_agrees_with_the_reference() {
 fn assert_agreement(case: &Case, motion: &ShutterMotion<f64>) {
     let (map, view, settings) = (case.map(), case.view(), case.settings);
     let exact = reference::render_moving(&map, &view, motion, &settings);
-    let mut exact_map = MapGradient::new(map.len());
+    let mut exact_map = MapGradient::new(&map);
     let rows = Some(&mut exact_map);
     let cotangent = case.cotangent();
     let d = reference::pull_back_moving(&map, &view, motion, &settings, &cotangent, rows);
@@ -182,7 +182,7 @@ fn moments_that_do_not_count_are_left_out() {
     for motion in [none, lost, gone] {
         let (render, gradient, _) = fast_on(Arch::new(), case, &motion);
         assert!(render == Render::new(case.size[0], case.size[1]), "not black");
-        let zeros = MapGradient::new(case.recipe.count);
+        let zeros = MapGradient::new(&case.map());
         assert!(gradient.means == zeros.means && gradient.colours == zeros.colours);
     }
 }

@@ -37,10 +37,12 @@ pub(super) fn cases() -> Vec<Case> {
     let dense = Recipe { count: 1500, logit: [2.0, 6.0], sigma: [2.0, 6.0], ..balls };
     let thin = Recipe { sigma: [0.05, 20.0], count: 200, margin: 0.4, ..ellipsoids };
     let long = Recipe { sigma: [0.3, 150.0], count: 80, margin: 1.5, seed: 4, ..ellipsoids };
+    let glossy = Recipe { has_view_colours: true, ..ellipsoids };
     let smooth = RasterSettings { alpha_min: 0.0, transmittance_min: 0.0, ..settings };
     vec![
         Case { name: "balls", size: [64, 48], recipe: balls, settings },
         Case { name: "ellipsoids", size: [64, 48], recipe: ellipsoids, settings },
+        Case { name: "glossy", size: [64, 48], recipe: glossy, settings },
         Case { name: "not of tiles", size: [37, 29], recipe: ellipsoids, settings },
         Case { name: "smaller than a tile", size: [5, 3], recipe: balls, settings },
         Case { name: "opaque", size: [48, 48], recipe: dense, settings },
@@ -90,7 +92,7 @@ impl Case {
     fn fast_on(&self, arch: Arch) -> (Render, MapGradient, Tangent<f64>) {
         let (map, view) = (self.map().cast(), self.view().cast());
         let mut rasterizer = Rasterizer::on(arch, self.settings);
-        let (mut render, mut gradient) = (Render::default(), MapGradient::new(map.len()));
+        let (mut render, mut gradient) = (Render::default(), MapGradient::new(&map));
         map.render(&mut rasterizer, &view, &mut render);
         let cotangent = single_cotangent(&self.cotangent());
         let tangent = map.pull_back(&mut rasterizer, &view, &cotangent, Some(&mut gradient));
@@ -150,8 +152,8 @@ pub(super) fn distance<'a>(
 #[test]
 fn gradients_agree_with_the_reference() {
     for case in cases() {
-        let mut exact = MapGradient::new(case.recipe.count);
         let (map, view, cotangent) = (case.map(), case.view(), case.cotangent());
+        let mut exact = MapGradient::new(&map);
         let tangent =
             reference::pull_back(&map, &view, &case.settings, &cotangent, Some(&mut exact));
         for arch in instruction_sets() {
@@ -172,6 +174,10 @@ pub(super) fn assert_gradients(case: &Case, fast: &MapGradient, exact: &MapGradi
         ("scales", distance(fast.log_scales.as_flattened(), exact.log_scales.as_flattened())),
         ("rotations", distance(fast.rotations.as_flattened(), exact.rotations.as_flattened())),
         ("colours", distance(fast.colours.as_flattened(), exact.colours.as_flattened())),
+        (
+            "view colours",
+            distance(fast.view_colours.as_flattened(), exact.view_colours.as_flattened()),
+        ),
         ("opacities", distance(&fast.opacity_logits, &exact.opacity_logits)),
     ];
     for (family, distance) in families {
@@ -208,7 +214,7 @@ fn a_used_rasterizer_gives_what_a_new_one_gives() {
     for case in cases().iter().filter(|case| case.settings == RasterSettings::default()) {
         let (map, view) = (case.map().cast(), case.view().cast());
         map.render(&mut rasterizer, &view, &mut render);
-        let mut gradient = MapGradient::new(map.len());
+        let mut gradient = MapGradient::new(&map);
         let cotangent = single_cotangent(&case.cotangent());
         let tangent = map.pull_back(&mut rasterizer, &view, &cotangent, Some(&mut gradient));
         assert!((render.clone(), gradient, tangent) == case.fast(), "{}", case.name);

@@ -415,6 +415,6 @@ if (!frames.some(f => f.picture)) $("compare").hidden = true;
 stepTo(frameOfAddress(), 0);
 showFrame();
 showTone();
-const { gaussians, chunk, logarithmic, alphaMin } = scene;
-service({ base64: $("map").textContent, gaussians, chunk, logarithmic, alphaMin });
+const { gaussians, viewColours, viewTerms, chunk, logarithmic, alphaMin } = scene;
+service({ base64: $("map").textContent, gaussians, viewColours, viewTerms, chunk, logarithmic, alphaMin });
 $("map").remove();

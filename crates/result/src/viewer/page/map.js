@@ -23,8 +23,26 @@ function mapService(reply) {
     return bytes.buffer;
   }
 
+  // Ten texels each: rotation, spread and number of terms; then the coefficients of a term each.
+  function viewTexels(cones, spreads, terms, coefficients) {
+    const width = 2040, height = Math.max(1, Math.ceil(cones.length / 204));
+    const texels = new Uint32Array(4 * width * height), floats = new Float32Array(texels.buffer);
+    let from = 0;
+    cones.forEach((cone, i) => {
+      let to = 40 * i;
+      texels[to] = cone;
+      floats[to + 1] = spreads[i] / 65535;
+      texels[to + 2] = terms[i];
+      for (let k = 0; k < terms[i]; k++) {
+        to += 4;
+        for (let c = 0; c < 3; c++) floats[to + c] = coefficients[from++] / 2048;
+      }
+    });
+    return { texels, width, height };
+  }
+
   // The layout is that of quantise.rs.
-  function decode({ base64, gaussians, chunk, logarithmic, alphaMin }) {
+  function decode({ base64, gaussians, viewColours, viewTerms, chunk, logarithmic, alphaMin }) {
     const buffer = bytesOf(base64);
     const chunks = Math.ceil(gaussians / chunk);
     let at = 0;
@@ -34,8 +52,11 @@ function mapService(reply) {
       return array;
     };
     const bounds = section(Float32Array, 18 * chunks), rotations = section(Uint32Array, gaussians);
-    const colours = section(Uint32Array, gaussians), places = section(Uint16Array, 3 * gaussians);
+    const colours = section(Uint32Array, gaussians), cones = section(Uint32Array, viewColours);
+    const places = section(Uint16Array, 3 * gaussians), spreads = section(Uint16Array, viewColours);
+    const coefficients = section(Int16Array, 3 * viewTerms);
     const scales = section(Uint8Array, 3 * gaussians), shares = section(Uint8Array, gaussians);
+    const views = viewTexels(cones, spreads, section(Uint8Array, viewColours), coefficients);
     const width = 2048, height = Math.ceil(gaussians / 1024);
     const texels = new Uint32Array(4 * width * height), floats = new Float32Array(texels.buffer);
     count = gaussians;
@@ -63,7 +84,7 @@ function mapService(reply) {
       texels[to + 7] = light[2];
       radii[i] = Math.exp(Math.max(...logScale)) * Math.sqrt(2 * Math.log(opacity / alphaMin));
     }
-    reply({ texels, width, height }, [texels.buffer]);
+    reply({ texels, width, height, views }, [texels.buffer, views.texels.buffer]);
   }
 
   // Gaussians that can be seen, from the farthest to the nearest. `view`: rows of camera-from-world,

@@ -16,6 +16,8 @@ class Renderer {
     this.tone = this.program("screen.vert", "tone.frag");
     this.line = this.program("line.vert", "line.frag", ["point", "strength"]);
     this.map = this.texture(gl.RGBA32UI, map.width, map.height, gl.RGBA_INTEGER, gl.UNSIGNED_INT, map.texels);
+    const { texels, width, height } = map.views;
+    this.views = this.texture(gl.RGBA32UI, width, height, gl.RGBA_INTEGER, gl.UNSIGNED_INT, texels);
     this.order = gl.createBuffer();
     this.rectangles = this.vertices(() => {
       this.attribute(0, 2, new Float32Array([-1, -1, 1, -1, -1, 1, 1, 1]));
@@ -180,7 +182,7 @@ class Renderer {
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
     const side = (axis, end) => (end * size[axis] - principal[axis]) / focal[axis];
     this.use(this.splat, {
-      ...position, ...projection, map: this.map,
+      ...position, ...projection, map: this.map, views: this.views, viewColours: scene.viewColours,
       rangeLow: [side(0, -0.15), side(1, -0.15)], rangeHigh: [side(0, 1.15), side(1, 1.15)],
       depthRange: [scene.near, scene.far], alphaMin: scene.alphaMin, alphaMax: scene.alphaMax,
       // The filter is that of the camera's pixels, so that every size shows the same picture.

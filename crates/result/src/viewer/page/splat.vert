@@ -7,6 +7,10 @@ precision highp usampler2D;
 
 // Two texels a Gaussian: mean (3 floats) and rotation; log-scales, opacity and radiance (half floats).
 uniform usampler2D map;
+// Ten texels for each of the first Gaussians, whose colour depends on the direction: rotation, spread
+// and number of terms, then a term each.
+uniform usampler2D views;
+uniform float viewColours;
 uniform mat3 cameraFromWorld;
 uniform vec3 origin;
 uniform vec2 focal;
@@ -43,12 +47,32 @@ mat3 axes(uint packed) {
     2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y));
 }
 
+// What the radiance of a Gaussian is multiplied by, seen along a unit vector (crate radiance,
+// view_colour.rs).
+vec3 viewGain(uint index, vec3 direction) {
+  const float LIMIT = 1.5 * 0.69314718;
+  ivec2 place = ivec2(int(index % 204u) * 10, int(index / 204u));
+  uvec4 cone = texelFetch(views, place, 0);
+  mat3 rotation = axes(cone.x);
+  vec2 v = vec2(dot(rotation[0], direction), dot(rotation[1], direction)) / uintBitsToFloat(cone.y);
+  vec2 s = v * inversesqrt(1.0 + dot(v, v));
+  float x = s.x, y = s.y, r2 = dot(s, s);
+  float terms[9] = float[9](x, y, 2.0 * x * y, x * x - y * y, r2,
+    x * (x * x - 3.0 * y * y), y * (3.0 * x * x - y * y), x * r2, y * r2);
+  vec3 sum = vec3(0.0);
+  for (int k = 0; k < int(cone.z); k++) {
+    sum += terms[k] * uintBitsToFloat(texelFetch(views, place + ivec2(1 + k, 0), 0).xyz);
+  }
+  return exp(LIMIT * tanh(sum / LIMIT));
+}
+
 void main() {
   gl_Position = vec4(0.0, 0.0, 2.0, 1.0);
   ivec2 place = ivec2(int(index & 1023u) * 2, int(index >> 10));
   uvec4 first = texelFetch(map, place, 0);
   uvec4 second = texelFetch(map, place + ivec2(1, 0), 0);
-  vec3 p = cameraFromWorld * (uintBitsToFloat(first.xyz) - origin);
+  vec3 ray = uintBitsToFloat(first.xyz) - origin;
+  vec3 p = cameraFromWorld * ray;
   vec2 zo = unpackHalf2x16(second.y);
   if (p.z < depthRange.x || p.z > depthRange.y || zo.y < alphaMin) return;
 
@@ -76,4 +100,5 @@ void main() {
   pixel += deviation.x * along + deviation.y * vec2(-along.y, along.x);
   gl_Position = vec4(2.0 * pixel.x / size.x - 1.0, 1.0 - 2.0 * pixel.y / size.y, 0.0, 1.0);
   light = vec4(unpackHalf2x16(second.z), unpackHalf2x16(second.w).x, zo.y);
+  if (index < uint(viewColours)) light.rgb *= viewGain(index, normalize(ray));
 }
