@@ -2,10 +2,12 @@
 
 use crate::console::counted;
 use crate::failure::Failure;
+use crate::live_viewer::LiveViewer;
 use clap::Args;
 use i2slam::dataset::OpenOptions;
 use std::ops::Range;
 use std::path::PathBuf;
+use std::sync::Arc;
 
 /// Selection, size and camera of the frames.
 #[derive(Args, Clone, Debug)]
@@ -46,6 +48,15 @@ pub(crate) struct Input {
     pub(crate) depth_scale: Option<f64>,
 }
 
+/// A page that follows the run.
+#[derive(Args, Clone, Debug)]
+pub(crate) struct Live {
+    /// Show the map and path of now in a browser while the run lasts, on a port of this machine that
+    /// other machines do not reach [default: a free one, which is printed]
+    #[arg(long, value_name = "PORT", num_args = 0..=1, require_equals = true, default_missing_value = "0")]
+    pub(crate) live: Option<u16>,
+}
+
 #[derive(Args, Clone, Debug)]
 pub(crate) struct Machine {
     /// Threads to use [default: all cores]; results do not depend on it
@@ -84,6 +95,13 @@ impl Input {
             max_side: self.max_side.map(|side| side as usize).or(usual_side),
             ..usual
         })
+    }
+}
+
+impl Live {
+    /// The server of the page, where one is asked for.
+    pub(crate) fn start(&self) -> Result<Option<Arc<LiveViewer>>, Failure> {
+        Ok(self.live.map(LiveViewer::start).transpose()?.map(Arc::new))
     }
 }
 

@@ -9,6 +9,7 @@ mod ground_truth;
 mod held_out_frames;
 mod image_files;
 mod interrupt;
+mod live_viewer;
 mod messages;
 mod pose_lines;
 mod progress;

@@ -3,11 +3,12 @@
 use crate::allocator::return_free_pages;
 use crate::console::print_status;
 use crate::interrupt;
+use crate::live_viewer::LiveViewer;
 use crate::messages;
 use crate::pose_lines::PoseLines;
 use i2slam::geometry::StampedPose;
 use i2slam::run::{CameraEstimate, Observer, RuntimeForecast, Stage};
-use i2slam::{CancellationToken, FrameEstimate, Warning};
+use i2slam::{CancellationToken, FrameEstimate, Reconstruction, Warning};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::IsTerminal;
 use std::sync::{Arc, Mutex};
@@ -28,6 +29,7 @@ pub(crate) struct Progress {
     display: Display,
     phase: Arc<Mutex<Phase>>,
     poses: Option<Arc<PoseLines>>,
+    live: Option<Arc<LiveViewer>>,
     /// Whether flags can make the run smaller, which long ones are advised of.
     is_adjustable: bool,
 }
@@ -96,12 +98,17 @@ impl Progress {
             Display::Lines(Lines { last, named: Arc::default() })
         };
         let phase = Arc::new(Mutex::new(Phase::new("frames", 0, total)));
-        Self { display, phase, poses: None, is_adjustable: true }
+        Self { display, phase, poses: None, live: None, is_adjustable: true }
     }
 
     /// With a line for every pose as soon as it is known.
     pub(crate) fn with_poses(self, poses: Option<Arc<PoseLines>>) -> Self {
         Self { poses, ..self }
+    }
+
+    /// With a page that follows the run.
+    pub(crate) fn with_live_viewer(self, live: Option<Arc<LiveViewer>>) -> Self {
+        Self { live, ..self }
     }
 
     /// Without advice on flags, for commands that have none.
@@ -113,6 +120,7 @@ impl Progress {
     /// change; a total of 0 is unknown.
     pub(crate) fn step(&self, name: &'static str, done: usize, total: usize) {
         return_free_pages();
+        self.show_live(name, done, total);
         let Ok(mut phase) = self.phase.lock() else { return };
         if name != phase.name {
             *phase = Phase::new(name, done, total);
@@ -140,6 +148,15 @@ impl Progress {
             }
             Display::Lines(_) | Display::Quiet => {}
         }
+    }
+
+    fn show_live(&self, name: &str, done: usize, total: usize) {
+        let Some(live) = &self.live else { return };
+        live.set_status(match (done, total) {
+            (0, 0) => name.to_owned(),
+            (_, 0) => format!("{name} {done}"),
+            _ => format!("{name} {done} of {total}"),
+        });
     }
 
     /// Prints a line above the bar, unless quiet.
@@ -181,6 +198,7 @@ impl Observer for Progress {
         }
         // More frames may be tracked than are mapped.
         let done = done.max(phase.done);
+        self.show_live(phase.name, done, total);
         let seconds = phase.seconds_per_step(done);
         let size = match estimate.gaussians {
             0 => String::new(),
@@ -205,7 +223,12 @@ impl Observer for Progress {
         }
     }
 
+    fn map(&self, current: &dyn Fn() -> Reconstruction) {
+        self.live.iter().for_each(|live| live.show(current));
+    }
+
     fn pose(&self, pose: &StampedPose) {
+        self.live.iter().for_each(|live| live.add_pose(pose));
         self.poses.iter().for_each(|lines| lines.add(pose));
     }
 

@@ -1,6 +1,6 @@
 //! `i2slam demo`: the clip inside the program, reconstructed.
 
-use crate::arguments::Machine;
+use crate::arguments::{Live, Machine};
 use crate::console::print_status;
 use crate::failure::Failure;
 use crate::reconstruction::{self, Job, RenderSelection};
@@ -17,6 +17,8 @@ pub(crate) struct Demo {
     /// By colour alone: the clip's depth is not looked at
     #[arg(long)]
     pub(crate) rgb: bool,
+    #[command(flatten)]
+    pub(crate) live: Live,
     #[command(flatten)]
     pub(crate) machine: Machine,
 }
@@ -40,6 +42,7 @@ pub(crate) fn demo(arguments: &Demo) -> Result<(), Failure> {
         overwrite: true,
         quiet: arguments.machine.quiet,
         poses: None,
+        live: arguments.live.start()?,
         title: Some("demo clip"),
     };
     job.check_output()?;

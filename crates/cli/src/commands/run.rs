@@ -1,6 +1,6 @@
 //! `i2slam run`: reconstructs a sequence into a result folder.
 
-use crate::arguments::{Input, Machine};
+use crate::arguments::{Input, Live, Machine};
 use crate::console::print_status;
 use crate::failure::Failure;
 use crate::held_out_frames::{HoldOut, parse_hold_out};
@@ -72,6 +72,8 @@ pub(crate) struct Run {
     /// trajectory.txt has the final ones
     #[arg(long, value_name = "FILE")]
     pub(crate) poses: Option<PathBuf>,
+    #[command(flatten)]
+    pub(crate) live: Live,
     /// Which frames to render under renders/ [default: all; none of a video on a hash grid, which is
     /// slow to render: `i2slam render` does it later]
     #[arg(long, value_enum, value_name = "WHICH")]
@@ -244,6 +246,7 @@ fn job(arguments: &Run) -> Result<Job<'_>, Failure> {
         overwrite: arguments.overwrite,
         quiet: arguments.machine.quiet,
         poses,
+        live: arguments.live.start()?,
         title: None,
     })
 }

@@ -9,6 +9,7 @@ use crate::failure::Failure;
 use crate::ground_truth::GroundTruth;
 use crate::held_out_frames::listed_frames;
 use crate::interrupt::Reading;
+use crate::live_viewer::LiveViewer;
 use crate::pose_lines::PoseLines;
 use crate::progress::Progress;
 use crate::{interrupt, messages};
@@ -40,6 +41,8 @@ pub(crate) struct Job<'a> {
     pub(crate) quiet: bool,
     /// Receiver of poses while frames come.
     pub(crate) poses: Option<Arc<PoseLines>>,
+    /// Page that follows the run.
+    pub(crate) live: Option<Arc<LiveViewer>>,
     /// Title of the report [default: name of the sequence].
     pub(crate) title: Option<&'static str>,
 }
@@ -48,6 +51,13 @@ impl Job<'_> {
     /// Checks that the result may be written, before anything else is done.
     pub(crate) fn check_output(&self) -> Result<(), Failure> {
         check_output(&self.dataset, &self.out, self.overwrite)
+    }
+
+    /// Begins to show the run of a sequence in a browser, where that is asked for.
+    fn show_live(&self, sequence: &Sequence) {
+        let title = self.title.unwrap_or(&sequence.name);
+        let config = &self.options.config;
+        self.live.iter().for_each(|live| live.begin(title, config, &sequence.camera));
     }
 }
 
@@ -113,9 +123,11 @@ fn reconstruct_into(
         Some((tracked, progress)) => (Some(tracked), progress.with_poses(None)),
         None => (None, Progress::new(sequence.len(), job.quiet).with_poses(job.poses.clone())),
     };
+    progress = progress.with_live_viewer(job.live.clone());
     if job.title.is_some() {
         progress = progress.without_advice();
     }
+    job.show_live(sequence);
     let warnings: Vec<String> = sequence.warnings.iter().chain(&truth.warnings).cloned().collect();
     warnings.iter().for_each(|warning| progress.warn(warning));
     if let PoseSource::FrontEnd { with_depth: false, .. } = job.options.poses {
@@ -143,7 +155,12 @@ fn reconstruct_into(
         let sequence = undistorted.as_ref().unwrap_or(sequence);
         let warnings = warnings.into_iter().map(Warning::from).chain(outcome.warnings.clone());
         let warnings = warnings.collect();
-        FinishedRun { job, folder, sequence, truth, outcome, warnings }.write(&progress)
+        let shown = job.live.as_ref().map(|live| (live, outcome.reconstruction.clone()));
+        let written = FinishedRun { job, folder, sequence, truth, outcome, warnings }.write(&progress);
+        if let (Some((live, last)), Ok(written)) = (shown, &written) {
+            live.end(&last, format!("The run has ended: {}", written.folder.display()));
+        }
+        written
     });
     progress.clear();
     let WrittenRun { metrics, map, folder, problems } = written?;
@@ -174,7 +191,9 @@ pub(crate) fn run_stream(
     live: LiveSequence,
     reading: Reading,
 ) -> Result<(), Failure> {
-    let progress = Progress::new(0, job.quiet).with_poses(job.poses.clone());
+    let progress = Progress::new(0, job.quiet)
+        .with_poses(job.poses.clone())
+        .with_live_viewer(job.live.clone());
     let (tracked, recorded) = track_stream(job, live, &progress)?;
     drop(reading);
     let (path, sequence) = (recorded.path(), &recorded.sequence);
@@ -195,6 +214,7 @@ fn track_stream(
         error => error.into(),
     })?;
     job.options.validate(live.first()).map_err(|error| placed(error, job))?;
+    job.show_live(live.first());
     let tracked = TrackedStream::track(&live, &job.options, progress.clone());
     if tracked.is_err() {
         progress.clear();

@@ -154,7 +154,7 @@ section! {
         /// `tracking.method` `second-order` frames that are tracked against the map have balls.
         isotropic: bool,
         /// Colours of flat Gaussians that depend on the direction they are seen from, where keyframes
-        /// show that they do: gloss. Needs `formation.tone`.
+        /// show that they do: gloss.
         view_dependent: bool,
         /// Largest number of Gaussians; a full map merges similar neighbours.
         capacity: usize,

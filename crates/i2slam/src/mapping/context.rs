@@ -3,7 +3,7 @@
 use super::keyframe::Keyframe;
 use crate::config::Config;
 use crate::objective::{Exposure, Observation};
-use crate::reconstruction::FrameEstimate;
+use crate::reconstruction::{FrameEstimate, Map};
 use crate::tracking::sampling;
 use crate::warning::Warning;
 use i2slam_compute::{CancellationToken, Random};
@@ -12,8 +12,19 @@ use i2slam_geometry::{Camera, Image};
 use std::collections::BTreeMap;
 use std::time::Instant;
 
-/// Called with the steps done and in total after every step; returns whether to continue.
-pub(crate) type OnStep<'a> = &'a mut dyn FnMut(usize, usize) -> bool;
+/// Called after every step of the final refinement; returns whether to continue.
+pub(crate) type OnStep<'a> = &'a mut dyn FnMut(RefinementStep<'_>) -> bool;
+
+/// A step of the final refinement that was taken.
+pub(crate) struct RefinementStep<'a> {
+    pub(crate) done: usize,
+    /// Steps in total.
+    pub(crate) of: usize,
+    pub(crate) frames: &'a [FrameEstimate],
+    pub(crate) responses: &'a [CameraResponse<f32>],
+    /// Copies the map.
+    pub(crate) map: &'a dyn Fn() -> Map,
+}
 
 /// The state of a session that mapping reads and optimises.
 pub(crate) struct MappingContext<'a> {
@@ -34,6 +45,15 @@ impl MappingContext<'_> {
     /// The first mapped frame: its pose and tone stay fixed.
     pub(crate) fn gauge_frame(&self, current: &Keyframe) -> usize {
         self.keyframes.first().map_or(current.frame, |k| k.frame)
+    }
+
+    /// The last step, of so many in total, with what it has left.
+    pub(super) fn taken<'b>(
+        &'b self,
+        (done, of): (usize, usize),
+        map: &'b dyn Fn() -> Map,
+    ) -> RefinementStep<'b> {
+        RefinementStep { done, of, frames: self.frames, responses: self.responses, map }
     }
 
     pub(super) fn is_keyframe(&self, frame: usize) -> bool {

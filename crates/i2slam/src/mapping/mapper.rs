@@ -54,7 +54,7 @@ pub(crate) trait Mapper: Send {
         context: &mut MappingContext<'_>,
     ) -> Result<FinalRefinement, SettingsError>;
 
-    /// Takes the final `steps` out of `total`, until `on_step(done, total)` returns false; returns its
+    /// Takes the final `steps` out of `total`, until `on_step` returns false; returns its
     /// last value.
     fn refine_all(
         &mut self,

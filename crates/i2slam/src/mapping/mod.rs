@@ -14,7 +14,7 @@ mod keyframe;
 mod mapper;
 mod window;
 
-pub(crate) use context::MappingContext;
+pub(crate) use context::{MappingContext, RefinementStep};
 pub(crate) use depth_inpainting::MIN_SURFACE_OPACITY;
 pub(crate) use field::{FieldMapper, largest_field};
 pub(crate) use gaussians::GaussianMapper;

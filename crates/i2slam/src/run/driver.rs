@@ -278,6 +278,7 @@ impl Driver<'_, '_> {
             }
             if let Some(estimate) = &self.latest {
                 self.context.observer.frame(estimate, before + done + 1, before + self.input.count);
+                self.context.observer.map(&|| self.session.reconstruction());
             }
         }
         Ok(())
@@ -334,8 +335,9 @@ impl Driver<'_, '_> {
             context.observer.progress(stage, done, of);
             !context.cancellation.is_cancelled()
         };
-        self.session.finish(&mut |step, of| {
+        self.session.finish_watched(&mut |step, of, current| {
             (done, steps) = (step, of);
+            context.observer.map(current);
             goes_on = on_step(step, of + count);
             goes_on
         });

@@ -2,7 +2,7 @@
 
 use super::{CameraEstimate, RuntimeForecast};
 use crate::keyframes;
-use crate::reconstruction::FrameEstimate;
+use crate::reconstruction::{FrameEstimate, Reconstruction};
 use crate::warning::Warning;
 use i2slam_compute::CancellationToken;
 use i2slam_geometry::StampedPose;
@@ -60,6 +60,10 @@ pub trait Observer: Send + Sync {
 
     /// `done` of `total` frames or keyframes are processed, the last one with this estimate.
     fn frame(&self, _estimate: &FrameEstimate, _done: usize, _total: usize) {}
+
+    /// The map has changed: by a frame, or by a step of the final refinement. `current` copies
+    /// everything estimated so far, and the map waits for that alone.
+    fn map(&self, _current: &dyn Fn() -> Reconstruction) {}
 
     /// The pose of a frame as it is known when the frame has come, in the world of the first keyframe:
     /// by visual odometry, or by the map where that is the source of poses. The unit of length is the

@@ -11,7 +11,7 @@ use crate::keyframes::{
     self, BoxedLoader, GivenPictures, MonocularError, MonocularSource, OdometryProgress,
     OdometryReconstruction, PictureError, in_usual_unit,
 };
-use crate::reconstruction::FrameEstimate;
+use crate::reconstruction::{FrameEstimate, Reconstruction};
 use crate::session::{MappedFrames, OnlineMapping, OnlineSession, OnlineUpdate, SessionError};
 use i2slam_dataset::{Frame, Sequence};
 use i2slam_geometry::StampedPose;
@@ -188,14 +188,15 @@ fn listener(
     context: &RunContext,
     mapped: Arc<MappedCount>,
     mut forecaster: Option<Forecaster>,
-) -> impl FnMut(&FrameEstimate) + Send + 'static {
+) -> impl FnMut(&FrameEstimate, &dyn Fn() -> Reconstruction) + Send + 'static {
     let observer: Arc<dyn Observer> = Arc::clone(&context.observer);
     let indices: Vec<usize> = sequence.entries.iter().map(|entry| entry.index).collect();
     mapped.total.store(indices.len(), Ordering::Relaxed);
     let mut keyframes = 0;
-    move |estimate| {
+    move |estimate, current| {
         let done = mapped.done.fetch_add(1, Ordering::Relaxed) + 1;
         observer.frame(estimate, done, mapped.total.load(Ordering::Relaxed).max(done));
+        observer.map(current);
         keyframes += usize::from(estimate.keyframe);
         let through = indices.partition_point(|index| *index <= estimate.index);
         let forecast = forecaster.as_mut().and_then(|f| f.after(through, keyframes));

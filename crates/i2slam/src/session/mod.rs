@@ -19,6 +19,7 @@ pub use runtime_estimate::RuntimeEstimate;
 use crate::config::{Config, MapKind, MappingConfig};
 use crate::mapping::{
     FieldMapper, GaussianMapper, Growth, JointFieldMapper, Keyframe, Mapper, MappingContext,
+    RefinementStep,
 };
 use crate::reconstruction::{FrameEstimate, Reconstruction};
 use crate::tracking::SequenceReadout;
@@ -32,6 +33,11 @@ use state::{SessionState, scratch_store};
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
+
+/// Called after every step of the final refinement with the steps done and in total, and with what
+/// copies everything estimated so far; returns whether to continue.
+pub(crate) type OnWatchedStep<'a> =
+    &'a mut dyn FnMut(usize, usize, &dyn Fn() -> Reconstruction) -> bool;
 
 /// SLAM on one sequence.
 ///
@@ -122,6 +128,12 @@ impl Session {
 
     /// Final optimisation over all keyframes; stops when `on_step(done, total)` returns false.
     pub fn finish(&mut self, on_step: &mut dyn FnMut(usize, usize) -> bool) {
+        self.finish_watched(&mut |done, of, _| on_step(done, of));
+    }
+
+    /// [`finish`](Self::finish) with a copy of everything estimated so far after every step, for those
+    /// who want it.
+    pub(crate) fn finish_watched(&mut self, on_step: OnWatchedStep<'_>) {
         if self.state.keyframes.is_empty() || self.failure.is_some() {
             return;
         }
@@ -201,10 +213,7 @@ impl Session {
 
     /// Final steps over all keyframes; where their poses are refined, in parts between which all are
     /// localised again.
-    fn refine_all(
-        &mut self,
-        on_step: &mut dyn FnMut(usize, usize) -> bool,
-    ) -> Result<(), SettingsError> {
+    fn refine_all(&mut self, on_step: OnWatchedStep<'_>) -> Result<(), SettingsError> {
         let refines_poses = self.source.is_some();
         let (mapper, tracker, mut context) = self.mapping();
         let plan = mapper.plan_final(&mut context)?;
@@ -215,10 +224,16 @@ impl Session {
         }
         let relocalizations = if refines_poses { plan.relocalizations } else { 0 };
         let part = plan.steps.div_ceil(relocalizations + 1);
+        let (setup, readout) = ((context.config, context.camera), tracker.readout.seconds);
+        let mut on_step = |step: RefinementStep<'_>| {
+            let estimates = (step.frames, step.responses);
+            let copy = || state::reconstruction(setup, estimates, (step.map)(), readout);
+            on_step(step.done, step.of, &copy)
+        };
         for round in 0..=relocalizations {
             let first = (round * part).min(plan.steps);
             let steps = first..(first + part).min(plan.steps);
-            if !mapper.refine_all(&mut context, (steps, plan.steps), on_step) {
+            if !mapper.refine_all(&mut context, (steps, plan.steps), &mut on_step) {
                 break;
             }
             if round < relocalizations {

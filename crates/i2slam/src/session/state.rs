@@ -95,15 +95,26 @@ impl SessionState {
         map: Map,
         rolling_shutter_readout: f64,
     ) -> Reconstruction {
-        Reconstruction {
-            config: config.clone(),
-            camera: *camera,
-            frames: self.frames.clone(),
-            online_trajectory: Vec::new(),
-            map,
-            responses: self.responses.clone(),
-            rolling_shutter_readout,
-        }
+        let estimates = (self.frames.as_slice(), self.responses.as_slice());
+        reconstruction((config, camera), estimates, map, rolling_shutter_readout)
+    }
+}
+
+/// A copy of settings, camera, frames and responses with a map.
+pub(super) fn reconstruction(
+    (config, camera): (&Config, &Camera<f64>),
+    (frames, responses): (&[FrameEstimate], &[CameraResponse<f32>]),
+    map: Map,
+    rolling_shutter_readout: f64,
+) -> Reconstruction {
+    Reconstruction {
+        config: config.clone(),
+        camera: *camera,
+        frames: frames.to_vec(),
+        online_trajectory: Vec::new(),
+        map,
+        responses: responses.to_vec(),
+        rolling_shutter_readout,
     }
 }
 

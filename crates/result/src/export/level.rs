@@ -85,6 +85,12 @@ fn best_up(normals: &[Vec3<f64>], poses: &[Pose<f64>], first: Vec3<f64>) -> Vec3
     borne_out.min_by(|&a, &b| tilt(a).total_cmp(&tilt(b))).unwrap_or(first)
 }
 
+/// Up by the cameras of tracked frames alone; none without.
+pub(crate) fn up_of_frames(frames: &[FrameEstimate]) -> Option<Vec3<f64>> {
+    let tracked = frames.iter().filter(|frame| frame.tracked);
+    up_of_cameras(&tracked.map(FrameEstimate::middle).collect::<Vec<_>>())
+}
+
 /// Up by the cameras alone: perpendicular to their right axes where these span a plane, as those of
 /// a camera that is held level do while it turns; else the mean of what is up in the pictures.
 fn up_of_cameras(poses: &[Pose<f64>]) -> Option<Vec3<f64>> {

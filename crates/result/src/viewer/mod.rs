@@ -10,12 +10,14 @@ mod scene;
 #[cfg(test)]
 mod tests;
 
-use crate::export::level::{LEVEL_UP, Up, level};
+use crate::export::level::{LEVEL_UP, Up, level, up_of_frames};
 use crate::html::{escape, fill, jpeg_address};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use i2slam::geometry::{Image, Vec3};
+use i2slam::radiance::gaussian::ColourActivation;
 use i2slam::{FrameEstimate, Map, Reconstruction};
+use quantise::QuantisedMap;
 use scene::Scene;
 
 /// Name of the page in a result folder.
@@ -67,20 +69,20 @@ impl<'a> ViewerPage<'a> {
         Self { title, reconstruction, frames: &reconstruction.frames, up, generator }
     }
 
+    /// The page of a run that goes on; cameras alone say where up is.
+    pub fn of_run(title: &'a str, reconstruction: &'a Reconstruction) -> Self {
+        let up = up_of_frames(&reconstruction.frames).unwrap_or(LEVEL_UP);
+        let generator = concat!("i2slam ", env!("CARGO_PKG_VERSION"));
+        Self { title, reconstruction, frames: &reconstruction.frames, up, generator }
+    }
+
     /// The text of the page. `taken` loads the picture of a frame (planes R, G, B in `[0, 1]`); a
     /// frame without one is shown without.
     pub fn html(
         &self,
         mut taken: impl FnMut(&FrameEstimate) -> Option<Image<f32>>,
     ) -> Result<String, NoViewer> {
-        let map = match &self.reconstruction.map {
-            Map::HashGrid(_) => return Err(NoViewer::HashGrid),
-            Map::Gaussians(map) if map.len() > MAX_GAUSSIANS => {
-                return Err(NoViewer::TooLarge(map.len()));
-            }
-            Map::Gaussians(map) => map,
-        };
-        let quantised = quantise::quantised(map);
+        let (quantised, activation) = self.quantised()?;
         if quantised.count == 0 {
             return Err(NoViewer::Empty);
         }
@@ -88,17 +90,57 @@ impl<'a> ViewerPage<'a> {
             Some(picture) => jpeg_address(&within(picture, MAX_SIDE), QUALITY),
             None => String::new(),
         };
-        let scene = Scene::new(self, &quantised, map.activation, picture);
+        let scene = Scene::new(self, &quantised, activation, picture);
+        Ok(self.filled(&scene, &quantised, ""))
+    }
+
+    /// The page, whose map may be empty still, without pictures. It asks `update?after=VERSION` beside
+    /// it every second, and expects JSON: `version`, `status` (words for the user), `ended`, and
+    /// `state`, an [update](Self::update) if there is a version after that, else null.
+    ///
+    /// # Errors
+    /// A map that a page cannot show.
+    pub fn live_html(&self) -> Result<String, NoViewer> {
+        let (quantised, activation) = self.quantised()?;
+        let scene = Scene::new(self, &quantised, activation, |_| String::new());
+        Ok(self.filled(&scene, &quantised, LIVE))
+    }
+
+    /// JSON with scene and map, for a [page that is open](Self::live_html).
+    ///
+    /// # Errors
+    /// A map that a page cannot show.
+    pub fn update(&self) -> Result<String, NoViewer> {
+        let (quantised, activation) = self.quantised()?;
+        let scene = Scene::new(self, &quantised, activation, |_| String::new());
+        let map = STANDARD.encode(&quantised.bytes);
+        Ok(format!(r#"{{"scene":{},"map":"{map}"}}"#, scene.json()))
+    }
+
+    fn quantised(&self) -> Result<(QuantisedMap, ColourActivation), NoViewer> {
+        match &self.reconstruction.map {
+            Map::HashGrid(_) => Err(NoViewer::HashGrid),
+            Map::Gaussians(map) if map.len() > MAX_GAUSSIANS => Err(NoViewer::TooLarge(map.len())),
+            Map::Gaussians(map) => Ok((quantise::quantised(map), map.activation)),
+        }
+    }
+
+    /// The page with a program beside those that every page has.
+    fn filled(&self, scene: &Scene, map: &QuantisedMap, live: &str) -> String {
         let mut values = vec![
             ("title", escape(self.title)),
             ("scene", scene.json()),
-            ("map", STANDARD.encode(&quantised.bytes)),
+            ("map", STANDARD.encode(&map.bytes)),
             ("generator", escape(self.generator)),
+            ("live.js", live.to_owned()),
         ];
         values.extend(PARTS.map(|(key, text)| (key, text.to_owned())));
-        Ok(fill(include_str!("page/page.html"), &values))
+        fill(include_str!("page/page.html"), &values)
     }
 }
+
+/// Program of a page that follows a run.
+const LIVE: &str = include_str!("page/live.js");
 
 /// Style, programs and shaders of the page.
 const PARTS: [(&str, &str); 14] = [

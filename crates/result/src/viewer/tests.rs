@@ -82,3 +82,19 @@ fn large_pictures_are_made_smaller() {
     assert_eq!(size(1920, 1080), (640, 360));
     assert_eq!(size(3, 9000), (1, 640));
 }
+
+#[test]
+fn a_live_page_starts_empty_and_is_updated() {
+    let mut reconstruction = example(12);
+    let update = ViewerPage::of_run("x", &reconstruction).update().expect("an update");
+    let update: serde_json::Value = serde_json::from_str(&update).expect("JSON");
+    assert_eq!(update["scene"]["frames"].as_array().map(Vec::len), Some(11));
+    let map = STANDARD.decode(update["map"].as_str().expect("text")).expect("base64");
+    assert_eq!(map.len(), 18 * reconstruction.map.gaussians() + 72);
+    reconstruction.frames.clear();
+    reconstruction.map = Map::default();
+    let page = ViewerPage::of_run("x", &reconstruction).live_html().expect("a page");
+    assert!(page.contains("fetch(\"update?after=\""));
+    let scene: serde_json::Value = serde_json::from_str(element(&page, "scene")).expect("JSON");
+    assert_eq!((scene["gaussians"].as_u64(), element(&page, "map")), (Some(0), ""));
+}

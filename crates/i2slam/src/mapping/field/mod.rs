@@ -338,7 +338,7 @@ impl Mapper for FieldMapper {
             let window: Vec<Keyframe> = chosen.map(|&k| context.keyframes[k].clone()).collect();
             let rate = decayed_rate(LEARNING_RATE, step as i32, total as i32);
             self.step(context, &window, rate, false);
-            if !on_step(step + 1, total) {
+            if !on_step(context.taken((step + 1, total), &|| self.map())) {
                 return false;
             }
         }

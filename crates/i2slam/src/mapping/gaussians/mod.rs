@@ -320,8 +320,7 @@ impl Mapper for GaussianMapper {
         if splits && self.current.map.shape == Shape::Anisotropic {
             context.keyframes.iter().for_each(|keyframe| self.split(context, keyframe));
             self.enforce_capacity(context);
-            let view_dependent = context.config.map.view_dependent && context.config.formation.tone;
-            if view_dependent && steps.start > 0 {
+            if context.config.map.view_dependent && steps.start > 0 {
                 self.add_view_colours(context);
             }
         }
@@ -334,7 +333,7 @@ impl Mapper for GaussianMapper {
             let Some(next) = order.pop() else { break };
             let keyframe = context.keyframes[next].clone();
             self.step(context, &keyframe);
-            continues = on_step(step + 1, total);
+            continues = on_step(context.taken((step + 1, total), &|| self.map()));
             if !continues {
                 break;
             }

@@ -401,7 +401,7 @@ impl Mapper for JointFieldMapper {
             if relocalizations > 0 && REOPENING_PHASE.contains(&done) {
                 self.reopen_transparent_rays();
             }
-            if !on_step(step + 1, total) {
+            if !on_step(context.taken((step + 1, total), &|| self.map())) {
                 return false;
             }
         }

@@ -86,15 +86,16 @@ impl OnlineUpdate {
 impl OnlineSession {
     /// A session on frames of `camera`, taken from a video of `frame_rate` frames per second.
     pub fn new(config: Config, camera: Camera<f64>, frame_rate: f64) -> Self {
-        Self::of(Session::refining(config, camera, frame_rate), camera, |_| {})
+        Self::of(Session::refining(config, camera, frame_rate), camera, |_, _| {})
     }
 
     /// Maps in `session` what is tracked in pictures of the camera `tracked`, which may be larger.
-    /// `on_mapped` sees every frame that was mapped, on the thread of the map.
+    /// `on_mapped` sees every frame that was mapped, on the thread of the map, with what copies
+    /// everything estimated so far.
     pub(crate) fn of(
         session: Session,
         tracked: Camera<f64>,
-        on_mapped: impl FnMut(&FrameEstimate) + Send + 'static,
+        on_mapped: impl FnMut(&FrameEstimate, &dyn Fn() -> Reconstruction) + Send + 'static,
     ) -> Self {
         let (scratch, tracking) = (Arc::clone(&session.state.scratch), Arc::<Mutex<()>>::default());
         Self {

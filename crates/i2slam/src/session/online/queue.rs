@@ -4,7 +4,7 @@ use super::super::{Session, SessionError};
 use super::backlog::Backlog;
 use crate::keyframes::PosedKeyframe;
 use crate::keyframes::delivery::{depth, into_estimated, posed_view};
-use crate::reconstruction::FrameEstimate;
+use crate::reconstruction::{FrameEstimate, Reconstruction};
 use i2slam_compute::CancellationToken;
 use i2slam_geometry::{Image, Pose};
 use i2slam_odometry::{DenseDepthEstimator, DepthModel, Keyframe, KeyframePictures, MeasuredDepth};
@@ -72,8 +72,9 @@ pub(super) struct BetweenJob {
 #[error("mapping ended by an internal error: please report it with the frames that led to it")]
 pub struct MappingPanicked;
 
-/// Sees every frame that was mapped, on the thread of the map.
-pub(crate) type OnMapped = Box<dyn FnMut(&FrameEstimate) + Send>;
+/// Sees every frame that was mapped, on the thread of the map, with what copies everything estimated so
+/// far.
+pub(crate) type OnMapped = Box<dyn FnMut(&FrameEstimate, &dyn Fn() -> Reconstruction) + Send>;
 
 /// Jobs for a session on a thread of its own.
 pub(super) struct MappingQueue {
@@ -129,7 +130,7 @@ impl MappingQueue {
 
     /// The session between two jobs.
     pub(super) fn session(&self) -> MutexGuard<'_, Session> {
-        self.session.lock().unwrap_or_else(PoisonError::into_inner)
+        locked(&self.session)
     }
 
     /// Waits for all jobs; gives the session, and the errors of frames that could not be used.
@@ -179,6 +180,10 @@ impl Drop for ClosedOnDrop {
     fn drop(&mut self) {
         self.0.close();
     }
+}
+
+fn locked(session: &Mutex<Session>) -> MutexGuard<'_, Session> {
+    session.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 struct Worker {
@@ -232,7 +237,7 @@ impl Worker {
     }
 
     fn session(&self) -> MutexGuard<'_, Session> {
-        self.session.lock().unwrap_or_else(PoisonError::into_inner)
+        locked(&self.session)
     }
 
     /// Keeps the pictures of a keyframe, and maps it if its depth was measured; one without waits for
@@ -278,8 +283,9 @@ impl Worker {
         session.config.mapping.iterations = steps;
         let added = session.add_keyframe(posed).cloned();
         drop(session);
+        let session = &self.session;
         match added {
-            Ok(estimate) => (self.on_mapped)(&estimate),
+            Ok(estimate) => (self.on_mapped)(&estimate, &|| locked(session).reconstruction()),
             Err(error) => self.errors.push(error),
         }
     }

@@ -13,7 +13,7 @@ const LINEAR = Array.from({ length: 512 }, (_, i) => (i / 511) ** 4);
 const state = { frame: 0, stops: 0, balance: true, response: true, compare: true, cut: 50, playing: null };
 // Natural logarithm of exposure, and of the gains of white balance.
 let tone = { exposure: 0, balance: [0, 0, 0] };
-let renderer, requested = false, sorting = null, sorted = null, sortId = 0, quality = 1, still = 0, drawn = 0;
+let renderer, pending = null, requested = false, sorting = null, sorted = null, sortId = 0, quality = 1, still = 0, drawn = 0;
 
 // ---- the map's worker
 
@@ -34,6 +34,9 @@ function startService(reply) {
 const service = startService(message => {
   if (message.texels) return ready(message);
   if (message.order) {
+    // An order that comes after a map is of that map.
+    if (pending) renderer?.setMap(pending);
+    pending = null;
     renderer?.setOrder(message.order);
     sorted = sorting;
     sorting = null;
@@ -55,6 +58,12 @@ function showLines() {
 function askPivot(id = "view") {
   const { view } = navigation;
   service({ origin: view.position, forward: navigation.forward(), pixel: 1 / camera.fx, id });
+}
+
+// The map of the scene, in the layout of quantise.rs.
+function loadMap(base64) {
+  const { gaussians, viewColours, viewTerms, chunk, logarithmic, alphaMin } = scene;
+  service({ base64, gaussians, viewColours, viewTerms, chunk, logarithmic, alphaMin });
 }
 
 // ---- drawing
@@ -153,13 +162,17 @@ function settle() {
 }
 
 function ready(map) {
-  try {
-    renderer = new Renderer(canvas, scene, map);
-    showResponse();
-    askPivot("scene");
-  } catch (error) {
-    return fail(error.message);
+  if (renderer) {
+    [pending, sorted] = [map, null];
+  } else {
+    try {
+      renderer = new Renderer(canvas, scene, map);
+      showResponse();
+    } catch (error) {
+      return fail(error.message);
+    }
   }
+  if (!navigation.sceneScale) askPivot("scene");
   $("message").hidden = true;
   changed();
 }
@@ -356,7 +369,11 @@ function setCut(cut) {
   showPlace();
 }
 
-$("frame").max = Math.max(0, frames.length - 1);
+function showFrames() {
+  $("frame").max = Math.max(0, frames.length - 1);
+  $("compare").hidden = !frames.some(f => f.picture);
+}
+
 $("frame").oninput = event => stepTo(Number(event.target.value), 150);
 $("previous").onclick = () => stepTo(state.frame - 1);
 $("next").onclick = () => stepTo(state.frame + 1);
@@ -411,10 +428,9 @@ addEventListener("hashchange", () => stepTo(frameOfAddress()));
 
 for (const id of ["stops", "balance", "response"]) $(id).disabled = !scene.tone;
 if (!scene.tone) $("tone").title = "This run has no high dynamic range: exposure, white balance and response were switched off.";
-if (!frames.some(f => f.picture)) $("compare").hidden = true;
+showFrames();
 stepTo(frameOfAddress(), 0);
 showFrame();
 showTone();
-const { gaussians, viewColours, viewTerms, chunk, logarithmic, alphaMin } = scene;
-service({ base64: $("map").textContent, gaussians, viewColours, viewTerms, chunk, logarithmic, alphaMin });
+loadMap($("map").textContent);
 $("map").remove();

@@ -57,7 +57,7 @@ function mapService(reply) {
     const coefficients = section(Int16Array, 3 * viewTerms);
     const scales = section(Uint8Array, 3 * gaussians), shares = section(Uint8Array, gaussians);
     const views = viewTexels(cones, spreads, section(Uint8Array, viewColours), coefficients);
-    const width = 2048, height = Math.ceil(gaussians / 1024);
+    const width = 2048, height = Math.max(1, Math.ceil(gaussians / 1024));
     const texels = new Uint32Array(4 * width * height), floats = new Float32Array(texels.buffer);
     count = gaussians;
     means = new Float32Array(3 * count);
@@ -84,7 +84,7 @@ function mapService(reply) {
       texels[to + 7] = light[2];
       radii[i] = Math.exp(Math.max(...logScale)) * Math.sqrt(2 * Math.log(opacity / alphaMin));
     }
-    reply({ texels, width, height, views }, [texels.buffer, views.texels.buffer]);
+    reply({ texels, width, height, views, viewColours }, [texels.buffer, views.texels.buffer]);
   }
 
   // Gaussians that can be seen, from the farthest to the nearest. `view`: rows of camera-from-world,
@@ -139,7 +139,7 @@ function mapService(reply) {
   }
 
   return message => {
-    if (message.base64) decode(message);
+    if (message.base64 !== undefined) decode(message);
     else if (message.forward) pivot(message);
     else sort(message);
   };

@@ -15,9 +15,7 @@ class Renderer {
     this.copy = this.program("screen.vert", "copy.frag");
     this.tone = this.program("screen.vert", "tone.frag");
     this.line = this.program("line.vert", "line.frag", ["point", "strength"]);
-    this.map = this.texture(gl.RGBA32UI, map.width, map.height, gl.RGBA_INTEGER, gl.UNSIGNED_INT, map.texels);
-    const { texels, width, height } = map.views;
-    this.views = this.texture(gl.RGBA32UI, width, height, gl.RGBA_INTEGER, gl.UNSIGNED_INT, texels);
+    this.setMap(map);
     this.order = gl.createBuffer();
     this.rectangles = this.vertices(() => {
       this.attribute(0, 2, new Float32Array([-1, -1, 1, -1, -1, 1, 1, 1]));
@@ -74,6 +72,15 @@ class Renderer {
     gl.bufferData(gl.ARRAY_BUFFER, data, gl.STATIC_DRAW);
     gl.enableVertexAttribArray(place);
     gl.vertexAttribPointer(place, size, gl.FLOAT, false, 0, 0);
+  }
+
+  // Gaussians as texels, in place of those before.
+  setMap(map) {
+    const { gl } = this;
+    const texture = ({ texels, width, height }) =>
+      this.texture(gl.RGBA32UI, width, height, gl.RGBA_INTEGER, gl.UNSIGNED_INT, texels);
+    for (const before of [this.map, this.views]) if (before) gl.deleteTexture(before);
+    Object.assign(this, { map: texture(map), views: texture(map.views), viewColours: map.viewColours });
   }
 
   // Gaussians to draw, the farthest first.
@@ -182,7 +189,7 @@ class Renderer {
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
     const side = (axis, end) => (end * size[axis] - principal[axis]) / focal[axis];
     this.use(this.splat, {
-      ...position, ...projection, map: this.map, views: this.views, viewColours: scene.viewColours,
+      ...position, ...projection, map: this.map, views: this.views, viewColours: this.viewColours,
       rangeLow: [side(0, -0.15), side(1, -0.15)], rangeHigh: [side(0, 1.15), side(1, 1.15)],
       depthRange: [scene.near, scene.far], alphaMin: scene.alphaMin, alphaMax: scene.alphaMax,
       // The filter is that of the camera's pixels, so that every size shows the same picture.
