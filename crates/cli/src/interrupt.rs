@@ -2,9 +2,14 @@
 
 use crate::console::print_status;
 use i2slam::CancellationToken;
+use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
 
 static REQUESTED: AtomicBool = AtomicBool::new(false);
+
+/// When the last first signal came.
+static SINCE: Mutex<Option<Instant>> = Mutex::new(None);
 
 /// Whether a stream is being read, which the first signal ends in place of the run.
 static READING: AtomicBool = AtomicBool::new(false);
@@ -19,6 +24,9 @@ pub(crate) fn listen_for(answer: &'static str) {
     let handler = move || {
         if REQUESTED.swap(true, Ordering::SeqCst) {
             std::process::exit(130);
+        }
+        if let Ok(mut since) = SINCE.lock() {
+            *since = Some(Instant::now());
         }
         print_status(if READING.load(Ordering::SeqCst) {
             "\nending the stream and reconstructing what was recorded; once more ends at once"
@@ -53,6 +61,12 @@ impl Drop for Reading {
 /// Token for the libraries, cancelled by the first signal that does not end a stream.
 pub(crate) fn cancellation() -> CancellationToken {
     CancellationToken::when(|| requested() && !READING.load(Ordering::SeqCst))
+}
+
+/// Time since the user asked to stop; none if nobody did.
+pub(crate) fn elapsed() -> Option<Duration> {
+    let since = SINCE.lock().ok().and_then(|since| *since);
+    since.filter(|_| requested()).map(|since| since.elapsed())
 }
 
 /// Whether the user asked to stop.

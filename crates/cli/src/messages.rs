@@ -165,7 +165,18 @@ pub(super) fn print_summary(
         ));
     }
     if let Some(psnr) = metrics.psnr_sharp_db {
-        print(&format!("sharp renders {psnr:.2} dB against the true sharp pictures"));
+        let taken = metrics.psnr_taken_db;
+        let taken =
+            taken.map_or_else(String::new, |db| format!(" (the pictures taken: {db:.2} dB)"));
+        print(&format!("sharp renders {psnr:.2} dB against the true sharp pictures{taken}"));
+    }
+    if let (Some(sharp), Some(taken)) =
+        (metrics.psnr_sharp_over_2px_db, metrics.psnr_taken_over_2px_db)
+    {
+        let frames = counted(metrics.frames_over_2px, "frame");
+        print(&format!(
+            "of {frames} blurred over more than 2 px {sharp:.2} dB (the pictures taken: {taken:.2} dB)"
+        ));
     }
     if metrics.unit_of_length == UnitOfLength::Unknown {
         print("unit of length: unknown, pictures alone do not tell the scale");

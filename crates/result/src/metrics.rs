@@ -66,6 +66,14 @@ pub struct Metrics {
     pub ssim_sharp: Option<f64>,
     /// Frames in `psnr_sharp_db` and `ssim_sharp`.
     pub sharp_frames: usize,
+    /// Mean PSNR of the pictures taken against the true sharp pictures, same frames [dB].
+    pub psnr_taken_db: Option<f64>,
+    /// Frames among them that are blurred over more than 2 px.
+    pub frames_over_2px: usize,
+    /// `psnr_sharp_db` of these frames [dB].
+    pub psnr_sharp_over_2px_db: Option<f64>,
+    /// `psnr_taken_db` of these frames [dB].
+    pub psnr_taken_over_2px_db: Option<f64>,
     /// Root mean square error of log2 radiance against the true one, after one gain for the whole
     /// sequence [stops].
     pub hdr_log2_rmse_stops: Option<f64>,

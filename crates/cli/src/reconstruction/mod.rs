@@ -156,7 +156,8 @@ fn reconstruct_into(
         let warnings = warnings.into_iter().map(Warning::from).chain(outcome.warnings.clone());
         let warnings = warnings.collect();
         let shown = job.live.as_ref().map(|live| (live, outcome.reconstruction.clone()));
-        let written = FinishedRun { job, folder, sequence, truth, outcome, warnings }.write(&progress);
+        let written =
+            FinishedRun { job, folder, sequence, truth, outcome, warnings }.write(&progress);
         if let (Some((live, last)), Ok(written)) = (shown, &written) {
             live.end(&last, format!("The run has ended: {}", written.folder.display()));
         }

@@ -7,19 +7,23 @@ use crate::progress::Progress;
 use clap::ValueEnum;
 use i2slam::dataset::Sequence;
 use i2slam::geometry::Image;
-use i2slam::{FrameEstimate, Reconstruction, Viewer};
+use i2slam::{FrameEstimate, Map, Reconstruction, Viewer};
 use i2slam_eval::hdr::{Gain, hdr_error};
 use i2slam_eval::image::{psnr, ssim};
 use i2slam_result::report::{Comparison, frames_to_show};
 use i2slam_result::{Metrics, RenderKind, ResultError, save_render};
 use i2slam_storage::OutputFolder;
 use rayon::prelude::*;
+use std::time::{Duration, Instant};
 
 /// Number of frames in the report.
 const REPORT_FRAMES: usize = 8;
 
 /// Phase of the progress display.
 const RENDERING: &str = "rendering";
+
+/// Time that pictures of the report get after an interrupt, which ends a run within ten seconds.
+const LAST_PICTURES: Duration = Duration::from_secs(6);
 
 /// Exposures shown in the report [stops].
 const STOPS: [f64; 3] = [-2.0, 0.0, 2.0];
@@ -49,30 +53,48 @@ pub(crate) struct RenderedPictures {
     pub(crate) failure: Option<ResultError>,
 }
 
+/// Blur length above which frames are told apart [px].
+const LONG_BLUR: f64 = 2.0;
+
 /// Image metrics, one entry per measured frame.
 #[derive(Default)]
 pub(crate) struct ImageMetrics {
     psnr_blurred: Vec<f64>,
     psnr_sharp: Vec<f64>,
     ssim_sharp: Vec<f64>,
+    /// PSNR of pictures taken against the true sharp ones.
+    psnr_taken: Vec<f64>,
+    /// PSNR of sharp renders and of pictures taken, of frames blurred over more than
+    /// [`LONG_BLUR`].
+    blurred: [Vec<f64>; 2],
     /// Estimated and true radiance, compared after one gain that fits all frames.
     radiance: [Vec<Image<f32>>; 2],
 }
 
 impl PictureRenderer<'_> {
-    /// Renders and measures all frames; after an interrupt, those of the report only.
+    /// Renders and measures all frames; after an interrupt those of the report, as far as there is time.
     pub(crate) fn render(&self, folder: &OutputFolder, progress: &Progress) -> RenderedPictures {
         let frames = &self.reconstruction.frames;
         let shown = frames_to_show(frames, REPORT_FRAMES);
         let mut viewer = self.reconstruction.viewer();
         let mut rendered = RenderedPictures::default();
+        // Pictures of a field take long: after an interrupt those alone whose time is known.
+        let mut longest = match self.reconstruction.map {
+            Map::Gaussians(_) => Duration::ZERO,
+            Map::HashGrid(_) => LAST_PICTURES,
+        };
         progress.step(RENDERING, 0, frames.len());
         for (i, frame) in frames.iter().enumerate() {
             let show = shown.contains(&i);
-            if interrupt::requested() && !show {
+            let is_in_time = |since| show && since + longest <= LAST_PICTURES;
+            if !interrupt::elapsed().is_none_or(is_in_time) {
                 continue;
             }
+            let started = Instant::now();
             self.frame(frame, show, &mut viewer, folder, &mut rendered);
+            if show {
+                longest = started.elapsed();
+            }
             progress.step(RENDERING, i + 1, frames.len());
         }
         keep_widest_range(&mut rendered.comparisons);
@@ -93,8 +115,12 @@ impl PictureRenderer<'_> {
             return;
         }
         let sharp = viewer.sharp(frame);
+        let input = self.position(frame).and_then(|p| self.sequence.load(p).ok());
+        let taken = input.as_ref().map(|input| &*input.colour);
+        if let Some(truth) = &sharp_truth {
+            rendered.metrics.sharp(frame.blur_length, (&sharp, taken), truth);
+        }
         if !(file || show) {
-            rendered.metrics.sharp(&sharp, sharp_truth.as_ref());
             return;
         }
         let blurred = viewer.blurred(frame);
@@ -109,19 +135,14 @@ impl PictureRenderer<'_> {
             false => None,
         };
         let measure = || {
-            metrics.sharp(&sharp, sharp_truth.as_ref());
-            let input = self.position(frame).and_then(|p| self.sequence.load(p).ok());
-            if let Some(input) = &input {
-                metrics.blurred(&blurred, &input.colour);
-            }
+            taken.iter().for_each(|taken| metrics.blurred(&blurred, taken));
             let apart = self.sequence.len().div_ceil(MAX_RADIANCE).max(1);
             if frame.index.is_multiple_of(apart) {
                 metrics.radiance(&hdr, self.truth, frame.index);
             }
-            input
         };
         // Neither uses more than one thread by itself.
-        let (error, input) = rayon::join(write, measure);
+        let (error, ()) = rayon::join(write, measure);
         *failure = failure.take().or(error);
         if let (true, Some(input)) = (show, input) {
             let brackets = self.brackets(frame, viewer);
@@ -190,11 +211,26 @@ impl ImageMetrics {
         self.psnr_blurred.extend(measured.ok().filter(|v| v.is_finite()));
     }
 
-    fn sharp(&mut self, rendered: &Image<f32>, truth: Option<&Image<f32>>) {
-        let Some(truth) = truth else { return };
+    /// Compares a render, and the picture taken, with the true sharp picture.
+    fn sharp(
+        &mut self,
+        blur_length: f64,
+        (rendered, taken): (&Image<f32>, Option<&Image<f32>>),
+        truth: &Image<f32>,
+    ) {
         let rendered = in_range(rendered);
-        self.psnr_sharp.extend(psnr(&rendered, truth).ok().filter(|v| v.is_finite()));
+        let finite = |value: &f64| value.is_finite();
+        let of_render = psnr(&rendered, truth).ok().filter(finite);
+        let of_taken = taken.and_then(|taken| psnr(taken, truth).ok()).filter(finite);
+        self.psnr_sharp.extend(of_render);
+        self.psnr_taken.extend(of_taken);
         self.ssim_sharp.extend(ssim(&rendered, truth).ok());
+        if let (true, Some(of_render), Some(of_taken)) =
+            (blur_length > LONG_BLUR, of_render, of_taken)
+        {
+            self.blurred[0].push(of_render);
+            self.blurred[1].push(of_taken);
+        }
     }
 
     fn radiance(&mut self, rendered: &Image<f32>, truth: &GroundTruth, index: usize) {
@@ -211,6 +247,10 @@ impl ImageMetrics {
         metrics.psnr_sharp_db = mean(&self.psnr_sharp);
         metrics.ssim_sharp = mean(&self.ssim_sharp);
         metrics.sharp_frames = self.psnr_sharp.len();
+        metrics.psnr_taken_db = mean(&self.psnr_taken);
+        metrics.frames_over_2px = self.blurred[0].len();
+        metrics.psnr_sharp_over_2px_db = mean(&self.blurred[0]);
+        metrics.psnr_taken_over_2px_db = mean(&self.blurred[1]);
         if self.radiance[0].is_empty() {
             return;
         }

@@ -174,6 +174,7 @@ impl Session {
             tone: previous.map_or_else(FrameTone::default, |f| f.tone),
             response,
             keyframe: blank.is_none(),
+            tracked: blank.is_none(),
             ..FrameEstimate::at_pose(index, timestamp, ShutterPoses::still(world_from_camera))
         };
         let known = adjacent.motion_per_interval(timestamp, self.frame_rate);

@@ -226,6 +226,7 @@ fn unusable_keyframes_are_refused() {
     session.add_keyframe(black_keyframe(2)).expect("a picture all the same");
     let warnings = session.take_warnings();
     assert!(warnings.len() == 1 && warnings[0].text.contains("black"), "{warnings:?}");
+    assert!(!session.frames()[0].tracked, "nothing of the map was found in it");
     session.finish(&mut |_, _| true);
     assert!(session.reconstruction().map == Map::default());
 }

@@ -41,6 +41,20 @@ fn degradation(metrics: &Metrics) -> String {
     format!("<strong>This result is degraded: {because}.</strong> ")
 }
 
+/// PSNR of the pictures taken, beside which that of renders stands.
+fn taken(metrics: &Metrics) -> String {
+    let Some(taken) = metrics.psnr_taken_db else { return String::new() };
+    let all = format!(" The pictures taken have {taken:.1} dB");
+    match (metrics.psnr_sharp_over_2px_db, metrics.psnr_taken_over_2px_db) {
+        (Some(sharp), Some(taken)) => format!(
+            "{all}; of the {} blurred over more than 2 px renders have {sharp:.1}, the pictures \
+             taken {taken:.1} dB.",
+            metrics.frames_over_2px
+        ),
+        _ => format!("{all}."),
+    }
+}
+
 /// The main figures, each with a line of explanation.
 pub(super) fn cards(metrics: &Metrics) -> String {
     let mut out = String::new();
@@ -71,7 +85,7 @@ pub(super) fn cards(metrics: &Metrics) -> String {
     }
     if let Some(psnr) = metrics.psnr_sharp_db {
         let meaning = "Sharp renders against the true sharp pictures. Higher is better.";
-        card(format!("{psnr:.1}"), "dB", "Sharp PSNR", meaning);
+        card(format!("{psnr:.1}"), "dB", "Sharp PSNR", &format!("{meaning}{}", taken(metrics)));
     }
     if let Some(psnr) = metrics.psnr_blurred_db {
         let meaning = "How well blur, exposure and map together predict the pictures taken. \

@@ -126,7 +126,8 @@ pub(super) fn tone(report: &Report<'_>) -> String {
 
 fn exposure(report: &Report<'_>) -> Plot {
     let frames = &report.reconstruction.frames;
-    let stops = |f: &FrameEstimate| f64::from(f.tone.log_exposure) / std::f64::consts::LN_2;
+    let stops =
+        |f: &FrameEstimate| found(f, f64::from(f.tone.log_exposure) / std::f64::consts::LN_2);
     let explanation = "Brightness the camera chose, in stops (1 EV is a factor of two) relative to \
                        the first frame.";
     let mut plot = over_frames("Exposure", explanation, "exposure [EV]");
@@ -138,6 +139,11 @@ fn exposure(report: &Report<'_>) -> Plot {
     }
     plot.series.push(Series::line("recovered", "c1", estimate));
     plot
+}
+
+/// A value of a frame that was found; others have the tone of the frame before, which says nothing.
+fn found(frame: &FrameEstimate, value: f64) -> f64 {
+    if frame.tracked { value } else { f64::NAN }
 }
 
 /// True exposures [stops], with the mean offset to the estimate removed: one gain is free.
@@ -164,7 +170,8 @@ fn white_balance(frames: &[FrameEstimate]) -> Plot {
     plot.series = [("red", 0), ("green", 1), ("blue", 2)]
         .into_iter()
         .map(|(name, channel)| {
-            let gain = |f: &FrameEstimate| f64::from(f.tone.log_white_balance[channel]).exp();
+            let gain =
+                |f: &FrameEstimate| found(f, f64::from(f.tone.log_white_balance[channel]).exp());
             Series::line(name, name, points(frames, gain))
         })
         .collect();

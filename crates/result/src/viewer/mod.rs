@@ -64,6 +64,10 @@ pub struct ViewerPage<'a> {
 impl<'a> ViewerPage<'a> {
     /// The page of a whole result; the vertical is estimated.
     pub fn of(title: &'a str, reconstruction: &'a Reconstruction) -> Self {
+        // A hash grid has no page, and its surfaces take long to find.
+        if let Map::HashGrid(_) = reconstruction.map {
+            return Self::of_run(title, reconstruction);
+        }
         let up = level(reconstruction, Up::Estimated).inverse().rotate(LEVEL_UP);
         let generator = concat!("i2slam ", env!("CARGO_PKG_VERSION"));
         Self { title, reconstruction, frames: &reconstruction.frames, up, generator }
