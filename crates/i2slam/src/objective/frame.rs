@@ -19,7 +19,16 @@ pub struct FrameVariables<'a> {
     pub tone: Option<Formation<'a>>,
 }
 
-impl FrameVariables<'_> {
+impl<'a> FrameVariables<'a> {
+    /// These with the vignetting of other pixels.
+    pub(super) fn with_vignetting<'b>(&self, vignetting: Option<&'b [f32]>) -> FrameVariables<'b>
+    where
+        'a: 'b,
+    {
+        let tone = self.tone.map(|tone| Formation { vignetting, ..tone });
+        FrameVariables { exposure: self.exposure, tone }
+    }
+
     /// Pulls `d_picture` back through the tone: writes `d_hdr` and the derivatives by tone and
     /// response.
     pub(super) fn pull_back_tone(
@@ -339,7 +348,7 @@ mod tests {
                 readout: readout + x.get(16).unwrap_or(&0.0),
                 depth_pose: depth_pose.then(|| shutter.middle().retract(lead)),
             },
-            tone: Some(Formation { tone, curve: &curve }),
+            tone: Some(Formation { tone, curve: &curve, vignetting: None }),
         };
         let mut objective = FrameObjective::new(CAMERA, smooth());
         let mut d_map = MapGradient::new(&map());
@@ -393,7 +402,7 @@ mod tests {
             end: Pose::identity().retract(Tangent::from_array([0.0, 0.0, 0.0, 0.06, 0.08, -0.02])),
         };
         let mut objective = FrameObjective::new(CAMERA, smooth());
-        let tone = Formation { tone: FrameTone::default(), curve: &curve };
+        let tone = Formation { tone: FrameTone::default(), curve: &curve, vignetting: None };
         let exposure = |method, readout| {
             let sampling = Sampling {
                 virtual_cameras: 9,
@@ -439,7 +448,7 @@ mod tests {
                 readout: 0.0,
                 depth_pose: None,
             },
-            tone: Some(Formation { tone: FrameTone::default(), curve: &curve }),
+            tone: Some(Formation { tone: FrameTone::default(), curve: &curve, vignetting: None }),
         };
         let mut objective = FrameObjective::new(CAMERA, smooth());
         objective.set_valid_mask(valid_mask);

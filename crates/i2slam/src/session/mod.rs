@@ -18,7 +18,8 @@ pub use runtime_estimate::RuntimeEstimate;
 
 use crate::config::{Config, MapKind, MappingConfig};
 use crate::mapping::{
-    FieldMapper, GaussianMapper, Growth, JointFieldMapper, Keyframe, Mapper, MappingContext,
+    FieldMapper, GaussianMapper, Growth, JointFieldMapper, Keyframe, LensVignetting, Mapper,
+    MappingContext,
 };
 use crate::reconstruction::{FrameEstimate, Reconstruction};
 use crate::tracking::SequenceReadout;
@@ -190,12 +191,27 @@ impl Session {
             Ok(Growth::Waiting) => Ok(()),
             Ok(growth) => {
                 mapper.refine(&mut context, current, growth);
+                if LensVignetting::is_due(&context, current) {
+                    self.find_vignetting();
+                }
                 Ok(())
             }
             Err(source) => {
                 self.failure = Some(source);
                 Err(SessionError::Map { source })
             }
+        }
+    }
+
+    /// Finds the vignetting anew, from all keyframes.
+    fn find_vignetting(&mut self) {
+        let formation = &self.config.formation;
+        if !(formation.vignetting && formation.tone) {
+            return;
+        }
+        let (mapper, _, context) = self.mapping();
+        if let Some(found) = LensVignetting::find(mapper, &context) {
+            self.state.vignetting = found;
         }
     }
 
@@ -206,7 +222,7 @@ impl Session {
         on_step: &mut dyn FnMut(usize, usize) -> bool,
     ) -> Result<(), SettingsError> {
         let refines_poses = self.source.is_some();
-        let (mapper, tracker, mut context) = self.mapping();
+        let (mapper, _, mut context) = self.mapping();
         let plan = mapper.plan_final(&mut context)?;
         if refines_poses && mapper.is_empty() {
             let reason =
@@ -218,6 +234,8 @@ impl Session {
         for round in 0..=relocalizations {
             let first = (round * part).min(plan.steps);
             let steps = first..(first + part).min(plan.steps);
+            self.find_vignetting();
+            let (mapper, tracker, mut context) = self.mapping();
             if !mapper.refine_all(&mut context, (steps, plan.steps), on_step) {
                 break;
             }

@@ -1,7 +1,7 @@
 //! Estimates of a session, and what mapping needs besides.
 
 use crate::config::{Config, FormationConfig};
-use crate::mapping::{Keyframe, MappingContext};
+use crate::mapping::{Keyframe, LensVignetting, MappingContext};
 use crate::reconstruction::{FrameEstimate, Map, Reconstruction};
 use crate::warning::Warning;
 use i2slam_compute::{CancellationToken, Random};
@@ -20,6 +20,8 @@ pub(super) struct SessionState {
     pub(super) frames: Vec<FrameEstimate>,
     pub(super) keyframes: Vec<Keyframe>,
     pub(super) responses: Vec<CameraResponse<f32>>,
+    /// Vignetting, where it was found.
+    pub(super) vignetting: Option<LensVignetting>,
     /// Mask of the pixels that the camera recorded; `None`: all.
     pub(super) valid_mask: Option<Arc<Image<bool>>>,
     pub(super) warnings: Vec<Warning>,
@@ -35,6 +37,7 @@ impl SessionState {
             frames: Vec::new(),
             keyframes: Vec::new(),
             responses: vec![initial_response(config)],
+            vignetting: None,
             valid_mask: None,
             warnings: Vec::new(),
             cancellation: CancellationToken::default(),
@@ -55,6 +58,7 @@ impl SessionState {
             frames: &mut self.frames,
             keyframes: &self.keyframes,
             responses: &mut self.responses,
+            vignetting: self.vignetting.as_ref().map(LensVignetting::at_pixels),
             valid_mask: self.valid_mask.as_deref(),
             random: &mut self.random,
             warnings: &mut self.warnings,
@@ -102,6 +106,7 @@ impl SessionState {
             online_trajectory: Vec::new(),
             map,
             responses: self.responses.clone(),
+            vignetting: self.vignetting.as_ref().map(LensVignetting::lens).unwrap_or_default(),
             rolling_shutter_readout,
         }
     }

@@ -126,7 +126,7 @@ fn evaluated(
                 readout: 0.3,
                 depth_pose: (depth == Depth::Beside).then(|| beside(&shutter)),
             },
-            tone: Some(Formation { tone: frame, curve: &curve }),
+            tone: Some(Formation { tone: frame, curve: &curve, vignetting: None }),
         },
         pixels: pixels(),
     };
@@ -295,7 +295,8 @@ fn the_shutter_hessian_agrees_with_differences() {
         let step = ShutterTangent::from_array(std::array::from_fn(|i| x[i]));
         let pixels = (0..16 * 12).step_by(5).collect();
         let mut view = batch(&observation, still.retract(&step), 3, pixels);
-        view.variables.tone = Some(Formation { tone: FrameTone::default(), curve: &curve });
+        view.variables.tone =
+            Some(Formation { tone: FrameTone::default(), curve: &curve, vignetting: None });
         view
     };
     let mut objective = RayObjective::new(CAMERA, map.march);

@@ -170,6 +170,7 @@ mod tests {
             before_previous: None,
             expected: Some(ExpectedView { world_from_camera: Pose::identity(), render }),
             keyframe: None,
+            vignetting: None,
             cancellation: &cancellation,
         };
         let frame = FrameAlignment {
