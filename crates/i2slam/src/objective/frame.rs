@@ -273,7 +273,7 @@ mod tests {
     use crate::objective::{BlurMethod, Sampling};
     use i2slam_check::{central_differences, noise, relative_error};
     use i2slam_formation::{
-        CameraResponse, FrameTone, NodeSpacing, Quadrature, ShutterPoses, StartCurve,
+        CameraResponse, FrameTone, NodeSpacing, Quadrature, ShutterPoses, StartCurve, Vignetting,
     };
     use i2slam_geometry::Tangent;
     use i2slam_radiance::View;
@@ -323,6 +323,7 @@ mod tests {
     ) -> Evaluation {
         let curve =
             CameraResponse::<f32>::new(3, StartCurve::Srgb, NodeSpacing::Power(2.2)).curve();
+        let lens = Vignetting { coefficients: [-0.3, -0.1, 0.0] }.at_pixels(&CAMERA);
         let part = |from: usize| Tangent::from_array(std::array::from_fn(|i| x[from + i]));
         let base = ShutterPoses {
             start: Pose::identity(),
@@ -348,7 +349,7 @@ mod tests {
                 readout: readout + x.get(16).unwrap_or(&0.0),
                 depth_pose: depth_pose.then(|| shutter.middle().retract(lead)),
             },
-            tone: Some(Formation { tone, curve: &curve, vignetting: None }),
+            tone: Some(Formation { tone, curve: &curve, vignetting: Some(&lens) }),
         };
         let mut objective = FrameObjective::new(CAMERA, smooth());
         let mut d_map = MapGradient::new(&map());
