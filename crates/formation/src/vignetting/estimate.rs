@@ -14,7 +14,7 @@ use super::Vignetting;
 use i2slam_compute::{median, solve_positive_definite};
 
 /// Steps of Gauss-Newton; four reach the optimum.
-const STEPS: usize = 8;
+const STEPS: usize = 6;
 /// Standard deviation over the median absolute residual of a normal distribution.
 const SIGMA_PER_MEDIAN: f64 = 1.4826;
 /// Smallest scale of the residuals: the steps of 8-bit pictures.
