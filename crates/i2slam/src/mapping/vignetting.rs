@@ -58,8 +58,8 @@ impl LensVignetting {
         is_due(context.keyframes.len()) && context.is_keyframe(current.frame)
     }
 
-    /// What the keyframes show: vignetting, or `Some(None)` for a lens without; `None` where they show
-    /// too little to tell.
+    /// The vignetting that the keyframes show, `Some(None)` of a lens without; `None` where they show too
+    /// little to tell.
     pub(crate) fn find(
         mapper: &mut dyn Mapper,
         context: &MappingContext<'_>,
