@@ -2,8 +2,8 @@
 
 use crate::console::print_status;
 use crate::failure::Failure;
-use i2slam::formation::{CameraResponse, NodeSpacing, StartCurve};
-use i2slam::geometry::{Camera, StampedPose};
+use i2slam::formation::{CameraResponse, NodeSpacing, ShutterPoses, StartCurve, Vignetting};
+use i2slam::geometry::{Camera, Pose, StampedPose};
 use i2slam::{Config, FrameEstimate, Map, Reconstruction};
 use i2slam_result::ViewerPage;
 use std::net::Ipv4Addr;
@@ -35,8 +35,8 @@ struct Shown {
     status: String,
     /// A copy of the run; without one there is nothing to show yet.
     run: Option<Arc<Reconstruction>>,
-    /// Whether the copy is of a map; before, its frames are the poses so far.
-    is_map: bool,
+    /// Poses as they were known when their frames came.
+    poses: Vec<StampedPose>,
     /// Changes with every copy.
     version: u64,
     /// Of the last map that a page took.
@@ -88,14 +88,8 @@ impl LiveViewer {
     /// A pose as it is known when its frame has come.
     pub(crate) fn add_pose(&self, pose: &StampedPose) {
         let mut shown = self.shown();
-        if shown.is_map {
-            return;
-        }
-        let Some(run) = shown.run.as_deref() else { return };
-        let mut run = run.clone();
-        let frame = run.virtual_frame(run.frames.len(), pose.world_from_camera);
-        run.frames.push(FrameEstimate { timestamp: pose.timestamp, ..frame });
-        shown.show(run);
+        shown.poses.push(*pose);
+        shown.version += 1;
     }
 
     /// Shows the map of now, if a copy is due.
@@ -146,7 +140,7 @@ impl Shown {
             title: String::new(),
             status: "Reading the sequence".to_owned(),
             run: None,
-            is_map: false,
+            poses: Vec::new(),
             version: 0,
             taken: 0,
             due: Instant::now(),
@@ -165,13 +159,29 @@ impl Shown {
             // A page draws no hash grid: its path alone.
             run.map = Map::default();
         }
-        self.is_map = true;
+        // By colour alone a map is made after the last frame, in a unit of its own.
+        if run.config.is_rgb() {
+            self.poses.clear();
+        }
         self.show(run);
     }
 
     fn is_watched(&self, now: Instant) -> bool {
         self.asked.is_some_and(|asked| now - asked < SILENCE)
     }
+}
+
+/// A copy of a run with the frames that were tracked and not mapped yet.
+fn with_later_poses(run: &Reconstruction, poses: &[StampedPose]) -> Reconstruction {
+    let mut run = run.clone();
+    let mapped = run.frames.last().map_or(f64::NEG_INFINITY, |frame| frame.timestamp);
+    let still = run.virtual_frame(0, Pose::identity());
+    for pose in poses.iter().filter(|pose| pose.timestamp > mapped) {
+        let shutter = ShutterPoses::still(pose.world_from_camera);
+        let (index, timestamp) = (run.frames.len(), pose.timestamp);
+        run.frames.push(FrameEstimate { index, timestamp, shutter, ..still.clone() });
+    }
+    run
 }
 
 /// A run before its first frame.
@@ -183,6 +193,7 @@ fn without_frames(config: &Config, camera: &Camera<f64>) -> Reconstruction {
         online_trajectory: Vec::new(),
         map: Map::default(),
         responses: vec![CameraResponse::new(1, StartCurve::Srgb, NodeSpacing::Uniform)],
+        vignetting: Vignetting::default(),
         rolling_shutter_readout: 0.0,
     }
 }
@@ -230,7 +241,10 @@ fn page(shown: &Mutex<Shown>) -> String {
         let shown = lock(shown);
         (shown.title.clone(), shown.run.clone())
     };
-    let page = run.map(|run| ViewerPage::of_run(&title, &run).live_html());
+    // The page asks for poses and map at once.
+    let page = run.map(|run| {
+        ViewerPage::of_run(&title, &without_frames(&run.config, &run.camera)).live_html()
+    });
     match page {
         Some(Ok(page)) => page,
         Some(Err(reason)) => format!("{WAITING}<p>{reason}"),
@@ -248,8 +262,10 @@ fn update(shown: &Mutex<Shown>, after: u64) -> String {
         let mut shown = lock(shown);
         shown.asked = Some(Instant::now());
         let run = shown.run.clone().filter(|_| shown.version != after);
+        let run = run.map(|run| (run, shown.poses.clone()));
         (shown.title.clone(), shown.status.clone(), run, shown.version, shown.ended)
     };
+    let run = run.map(|(run, poses)| with_later_poses(&run, &poses));
     let state = match run.map(|run| ViewerPage::of_run(&title, &run).update()) {
         Some(Ok(state)) => state,
         Some(Err(reason)) => {
@@ -266,7 +282,6 @@ fn update(shown: &Mutex<Shown>, after: u64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use i2slam::geometry::Pose;
     use std::io::{Read, Write};
     use std::net::TcpStream;
 
@@ -306,7 +321,7 @@ mod tests {
         // Not due yet.
         viewer.show(&|| unreachable!("a copy that is not due"));
         let second = json(&get(&viewer, &path, "localhost"));
-        assert_eq!(second["state"]["scene"]["frames"].as_array().map(Vec::len), Some(0));
+        assert_eq!(second["state"]["scene"]["frames"].as_array().map(Vec::len), Some(1));
         assert_eq!(second["ended"], false);
         viewer.set_status("done".to_owned());
         let asking = thread::scope(|scope| {

@@ -6,6 +6,7 @@ pub mod reproject;
 pub mod shutter;
 pub mod tone;
 pub mod trajectory_loss;
+pub mod vignetting;
 
 pub use form::{Formation, accumulate, scale_into};
 pub use gauge::ResponsePrior;
@@ -17,3 +18,4 @@ pub use tone::{
     StartCurve, WhiteBalanceModel,
 };
 pub use trajectory_loss::{TrajectoryGradient, TrajectoryLoss, TrajectoryPair, TrajectoryScale};
+pub use vignetting::Vignetting;

@@ -2,7 +2,7 @@
 
 use crate::config::Config;
 use i2slam_compute::median;
-use i2slam_formation::{CameraResponse, FrameTone, ResponseCurve, ShutterPoses};
+use i2slam_formation::{CameraResponse, FrameTone, ResponseCurve, ShutterPoses, Vignetting};
 use i2slam_geometry::{Camera, Pose, StampedPose, Tangent};
 use i2slam_radiance::gaussian::{ColourActivation, GaussianMap, Shape};
 use i2slam_radiance::hashgrid::HashGridMap;
@@ -181,6 +181,8 @@ pub struct Reconstruction {
     pub map: Map,
     /// Camera responses: one, or one per frame.
     pub responses: Vec<CameraResponse<f32>>,
+    /// Vignetting of the lens; zero where none was found.
+    pub vignetting: Vignetting<f32>,
     /// Readout time of a picture, set or estimated [s]; 0 for a global shutter.
     pub rolling_shutter_readout: f64,
 }

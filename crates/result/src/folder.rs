@@ -7,7 +7,7 @@ use crate::pictures::DEPTH_UNITS_PER_METRE;
 use crate::{Metrics, ResultError, UnitOfLength, map, tables};
 use i2slam::dataset::read_trajectory;
 use i2slam::formation::tone::NODES;
-use i2slam::formation::{CameraResponse, NodeSpacing, StartCurve};
+use i2slam::formation::{CameraResponse, NodeSpacing, StartCurve, Vignetting};
 use i2slam::geometry::{Camera, Rotation, StampedPose};
 use i2slam::{Config, Map, Reconstruction};
 use i2slam_storage::OutputFolder;
@@ -58,9 +58,7 @@ pub fn save(folder: &OutputFolder, reconstruction: &Reconstruction) -> Vec<Resul
         folder.write_text("config.toml", &r.config.to_toml()),
         folder.write("camera.json", |out| write_json(out, &CameraFile::of(&r.camera))),
         folder.write_text("camera_response.csv", &tables::responses(r)),
-        folder.write("state.json", |out| {
-            write_json(out, &State::of(&r.responses, r.rolling_shutter_readout))
-        }),
+        folder.write("state.json", |out| write_json(out, &State::of(r))),
         folder.write("map.i2slam", |out| map::write_native(out, &r.map)),
         match &r.map {
             Map::Gaussians(map) => {
@@ -110,7 +108,12 @@ pub fn load(folder: &Path) -> Result<Reconstruction, ResultError> {
     let camera_path = folder.join("camera.json");
     let camera: CameraFile = read_json(&camera_path)?;
     let camera = camera.camera().map_err(|m| ResultError::format(&camera_path, m))?;
-    let (responses, rolling_shutter_readout) = state(&folder.join("state.json"))?;
+    let state_path = folder.join("state.json");
+    let state = state(&state_path)?;
+    let responses = state.responses.into_iter().map(ResponseState::response);
+    let responses = responses
+        .collect::<Result<Vec<_>, _>>()
+        .map_err(|m| ResultError::format(&state_path, m))?;
     let frames = tables::read_frames(folder, responses.len())?;
     let map_path = folder.join("map.i2slam");
     let bytes =
@@ -125,21 +128,22 @@ pub fn load(folder: &Path) -> Result<Reconstruction, ResultError> {
         online_trajectory,
         map,
         responses,
-        rolling_shutter_readout,
+        vignetting: state.vignetting.map(|found| found.vignetting()).unwrap_or_default(),
+        rolling_shutter_readout: state.rolling_shutter_readout,
     })
 }
 
-/// Reads camera responses and the readout time of the rolling shutter [s].
-fn state(path: &Path) -> Result<(Vec<CameraResponse<f32>>, f64), ResultError> {
+/// Reads `state.json`.
+fn state(path: &Path) -> Result<State, ResultError> {
     let state: State = read_json(path)?;
     if state.format != FORMAT {
         let message = format!("has format {}, this program reads format {FORMAT}", state.format);
         return Err(ResultError::format(path, message));
     }
-    let responses = state.responses.into_iter().map(|r| r.response());
-    let responses =
-        responses.collect::<Result<_, _>>().map_err(|m| ResultError::format(path, m))?;
-    Ok((responses, state.rolling_shutter_readout))
+    if state.vignetting.is_some_and(|found| !found.is_finite()) {
+        return Err(ResultError::format(path, "has no usable vignetting"));
+    }
+    Ok(state)
 }
 
 /// Largest map [bytes]: 100 million Gaussians of 56 bytes.
@@ -148,7 +152,7 @@ const MAX_MAP: u64 = 6 << 30;
 /// Version of `state.json`, which stands for that of the folder.
 const FORMAT: u32 = 1;
 
-/// `state.json`: the parameters of the camera responses.
+/// `state.json`: the parameters of camera responses and lens.
 #[derive(Serialize, Deserialize)]
 struct State {
     format: u32,
@@ -156,6 +160,35 @@ struct State {
     /// Time from the first to the last row [s].
     #[serde(default)]
     rolling_shutter_readout: f64,
+    /// Absent where none was found.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    vignetting: Option<VignettingState>,
+}
+
+/// `v(r) = 1 + a r² + b r⁴ + c r⁶`.
+#[derive(Clone, Copy, Serialize, Deserialize)]
+struct VignettingState {
+    a: f32,
+    b: f32,
+    c: f32,
+    /// `v(1)`, for readers.
+    corner: f32,
+}
+
+impl VignettingState {
+    /// None of a lens without.
+    fn of(vignetting: &Vignetting<f32>) -> Option<Self> {
+        let [a, b, c] = vignetting.coefficients;
+        (!vignetting.is_none()).then(|| Self { a, b, c, corner: vignetting.corner() })
+    }
+
+    fn vignetting(self) -> Vignetting<f32> {
+        Vignetting { coefficients: [self.a, self.b, self.c] }
+    }
+
+    fn is_finite(self) -> bool {
+        [self.a, self.b, self.c].into_iter().all(f32::is_finite)
+    }
 }
 
 #[derive(Serialize, Deserialize)]
@@ -167,9 +200,13 @@ struct ResponseState {
 }
 
 impl State {
-    fn of(responses: &[CameraResponse<f32>], rolling_shutter_readout: f64) -> Self {
-        let responses = responses.iter().map(ResponseState::of).collect();
-        Self { format: FORMAT, responses, rolling_shutter_readout }
+    fn of(reconstruction: &Reconstruction) -> Self {
+        Self {
+            format: FORMAT,
+            responses: reconstruction.responses.iter().map(ResponseState::of).collect(),
+            rolling_shutter_readout: reconstruction.rolling_shutter_readout,
+            vignetting: VignettingState::of(&reconstruction.vignetting),
+        }
     }
 }
 

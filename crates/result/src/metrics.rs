@@ -83,6 +83,9 @@ pub struct Metrics {
     pub hdr_frames: usize,
     /// Time from the first to the last row, given or estimated [s]; 0 for a global shutter.
     pub rolling_shutter_readout_s: f64,
+    /// Share of the light that reaches the corners of a picture, over that at its centre, as found; 1
+    /// where none was found.
+    pub vignetting_corner: Option<f64>,
     /// Pearson correlation of recovered and true log exposure.
     pub log_exposure_correlation: Option<f64>,
     /// Horizontal focal length at the processed size [px].
@@ -157,6 +160,7 @@ impl Metrics {
             mapping_seconds_per_frame: mapping * per_frame,
             blur_length_px_median: blur.get(blur.len() / 2).copied().unwrap_or(0.0),
             blur_length_px_max: blur.last().copied().unwrap_or(0.0),
+            vignetting_corner: vignetting_corner(reconstruction),
             rolling_shutter_readout_s: reconstruction.rolling_shutter_readout,
             focal_length_px: reconstruction.camera.fx,
             horizontal_fov_deg: reconstruction.camera.horizontal_field_of_view().to_degrees(),
@@ -164,4 +168,11 @@ impl Metrics {
             ..Self::default()
         }
     }
+}
+
+/// None where it was not looked for.
+fn vignetting_corner(reconstruction: &Reconstruction) -> Option<f64> {
+    let formation = &reconstruction.config.formation;
+    let looked_for = formation.vignetting && formation.tone;
+    looked_for.then(|| f64::from(reconstruction.vignetting.corner()))
 }

@@ -5,7 +5,9 @@ use crate::export::ply;
 use crate::export::splat::{Display, splats};
 use i2slam::Config;
 use i2slam::config::MapKind;
-use i2slam::formation::{CameraResponse, FrameTone, NodeSpacing, ShutterPoses, StartCurve};
+use i2slam::formation::{
+    CameraResponse, FrameTone, NodeSpacing, ShutterPoses, StartCurve, Vignetting,
+};
 use i2slam::geometry::{Camera, Pose, Rotation, StampedPose, Tangent, Vec3};
 use i2slam::radiance::gaussian::{ColourActivation, Gaussian, GaussianMap, Shape};
 use i2slam::radiance::hashgrid::{
@@ -74,6 +76,7 @@ pub(crate) fn example(frames: usize) -> Reconstruction {
         frames: (0..frames).map(frame).collect(),
         map: Map::Gaussians(map),
         responses: vec![response],
+        vignetting: Vignetting { coefficients: [-0.2, -0.3, 0.1] },
         rolling_shutter_readout: 0.0123,
     }
 }

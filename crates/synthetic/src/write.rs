@@ -19,6 +19,7 @@ const NAMES: &[&str] = &[
     "README.md",
     "spec.toml",
     "source.csv",
+    "vignetting.json",
     "rgb",
     "depth",
     "sharp",

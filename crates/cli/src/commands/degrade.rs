@@ -50,6 +50,10 @@ pub(crate) struct Degrade {
     /// Replace this share of the depth readings by ones that are off by a factor of 1.1 to 2
     #[arg(long, value_name = "SHARE", default_value_t = 0.0)]
     pub(crate) depth_outliers: f64,
+    /// Vignetting: share of the light that reaches the corners of a picture, 0.2 to 1; the truth is
+    /// written to vignetting.json
+    #[arg(long, value_name = "CORNER")]
+    pub(crate) vignetting: Option<f64>,
     /// Noise of the colour sensor: standard deviation of black, variance of white (1.0)
     #[arg(long, value_names = ["READ", "SHOT"], num_args = 2)]
     pub(crate) sensor_noise: Option<Vec<f64>>,
@@ -77,7 +81,7 @@ pub(crate) struct Degrade {
     /// A textured ball moves before the camera, in colour and depth, over this share of the picture
     #[arg(long, value_name = "SHARE")]
     pub(crate) moving_object: Option<f64>,
-    /// Response that the pictures are taken to have, for noise and exposure
+    /// Response that the pictures are taken to have, for vignetting, noise and exposure
     #[arg(long, value_enum, default_value_t = Curve::Srgb, value_name = "CURVE")]
     pub(crate) response: Curve,
     /// Seed of all random choices
@@ -137,6 +141,7 @@ fn degradation(arguments: &Degrade) -> Degradation {
             shift: shift.and_then(|s| Some([*s.first()?, *s.get(1)?])).unwrap_or_default(),
             outliers: arguments.depth_outliers,
         },
+        vignetting: arguments.vignetting,
         sensor_noise: noise.and_then(|n| Some(NoiseSpec { read: *n.first()?, shot: *n.get(1)? })),
         exposure_steps: arguments.exposure_step.clone(),
         drop_share: arguments.drop,

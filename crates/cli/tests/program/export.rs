@@ -120,7 +120,10 @@ fn a_box_and_an_opacity_cut_the_map() {
     let cut = ply_count(&export(&room, "ply", "right.ply", &right), "vertex");
     assert!((1..whole).contains(&cut), "{cut} of {whole}");
     let opaque = export(&room, "ply", "opaque.ply", &["--min-opacity", "0.9"]);
-    assert!((1..whole).contains(&ply_count(&opaque, "vertex")));
+    let often = export(&room, "ply", "often.ply", &["--min-views", "2"]);
+    for part in [opaque, often] {
+        assert!((1..whole).contains(&ply_count(&part, "vertex")), "{}", part.display());
+    }
     let out = room.scratch.join("empty.ply");
     let box_of_nothing = ["--crop", "500 500 500 501 501 501"];
     let none = i2slam!("export", room.out, "--format", "ply", "--out", out; box_of_nothing);

@@ -11,33 +11,41 @@ use crate::tone::{
 };
 use i2slam_geometry::{Image, Real};
 use rayon::prelude::*;
+use std::iter::repeat;
 
 #[cfg(test)]
 mod tests;
 
-/// Radiance to picture, for one frame: `picture_c = CRF_leaky(exposure · white_balance_c ·
-/// radiance_c)` (eqs. 8 to 11).
+/// Radiance to picture, for one frame: `picture_c = CRF_leaky(exposure · white_balance_c · v ·
+/// radiance_c)` (eqs. 8 to 11, with the vignetting `v`).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Formation<'a, T = f32> {
     /// Exposure and white balance of the frame.
     pub tone: FrameTone<T>,
     /// Response of the camera.
     pub curve: &'a ResponseCurve<T>,
+    /// Vignetting of every pixel of the pictures, as [`Vignetting::at_pixels`] gives it; `None` for 1.
+    ///
+    /// [`Vignetting::at_pixels`]: crate::Vignetting::at_pixels
+    pub vignetting: Option<&'a [T]>,
 }
 
 impl<T: Real> Formation<'_, T> {
     /// The picture of `hdr`, the radiance averaged over the exposure (planes R, G, B).
     /// `picture` is given the shape of `hdr`. Values leave [0, 1] by at most the leaky clip.
+    ///
+    /// # Panics
+    /// When there is vignetting of another number of pixels.
     pub fn form(&self, hdr: &Image<T>, picture: &mut Image<T>) {
         picture.reshape(hdr.width, hdr.height, hdr.channels);
-        let Self { tone, curve } = self;
+        let Self { tone, curve, .. } = self;
         for channel in 0..hdr.channels {
-            let gain = tone.gains()[channel.min(2)];
+            let gains = self.pixel_gains(tone.gains()[channel.min(2)], hdr);
             let segments = curve.segments(channel);
             let (from, to) = (hdr.plane(channel), picture.plane_mut(channel));
             match curve.grid().binned() {
-                Some(binned) => form_plane(&binned, segments, gain, from, to),
-                None => form_plane(&Even, segments, gain, from, to),
+                Some(binned) => form_plane(&binned, segments, gains, from, to),
+                None => form_plane(&Even, segments, gains, from, to),
             }
         }
     }
@@ -47,7 +55,8 @@ impl<T: Real> Formation<'_, T> {
     /// pixel with `d_picture = 0` contributes nothing, whatever its radiance.
     ///
     /// # Panics
-    /// When `d_picture` has another shape than `hdr`, or `d_curve` another than the curve.
+    /// When `d_picture` has another shape than `hdr`, or `d_curve` another than the curve, or there is
+    /// vignetting of another number of pixels.
     pub fn pull_back(
         &self,
         hdr: &Image<T>,
@@ -58,9 +67,9 @@ impl<T: Real> Formation<'_, T> {
     ) {
         assert_same_shape(hdr, d_picture);
         d_hdr.reshape(hdr.width, hdr.height, hdr.channels);
-        let Self { tone, curve } = self;
+        let Self { tone, curve, .. } = self;
         for channel in 0..hdr.channels {
-            let gain = tone.gains()[channel.min(2)];
+            let gains = self.pixel_gains(tone.gains()[channel.min(2)], hdr);
             let segments = curve.segments(channel);
             let planes = Planes {
                 hdr: hdr.plane(channel),
@@ -69,12 +78,34 @@ impl<T: Real> Formation<'_, T> {
             };
             let d_values = &mut d_curve.values[curve.curve_of(channel)];
             let d_log_gain = match curve.grid().binned() {
-                Some(binned) => pull_back_plane(&binned, segments, gain, planes, d_values),
-                None => pull_back_plane(&Even, segments, gain, planes, d_values),
+                Some(binned) => pull_back_plane(&binned, segments, gains, planes, d_values),
+                None => pull_back_plane(&Even, segments, gains, planes, d_values),
             };
             d_tone.log_exposure += d_log_gain;
             d_tone.log_white_balance[channel.min(2)] += d_log_gain;
         }
+    }
+
+    fn pixel_gains(&self, gain: T, hdr: &Image<T>) -> PixelGains<'_, T> {
+        let pixels = hdr.pixels();
+        let fits = self.vignetting.is_none_or(|vignetting| vignetting.len() == pixels);
+        assert!(fits, "vignetting of another picture");
+        PixelGains { gain, vignetting: self.vignetting }
+    }
+}
+
+/// Factors between the radiance of pixels and their linear values.
+#[derive(Clone, Copy)]
+struct PixelGains<'a, T> {
+    /// Exposure times white balance.
+    gain: T,
+    vignetting: Option<&'a [T]>,
+}
+
+impl<'a, T: Real> PixelGains<'a, T> {
+    /// Vignetting from pixel `first` on.
+    fn vignetting_from(&self, first: usize) -> Option<&'a [T]> {
+        self.vignetting.map(|all| &all[first..])
     }
 }
 
@@ -111,37 +142,48 @@ fn part(pixels: usize) -> usize {
 }
 
 /// `picture = CRF_leaky(gain · hdr)`.
-pub(super) fn form_plane<T: Real>(
+fn form_plane<T: Real>(
     locate: &(impl Locate<T> + Sync),
     segments: &[Segment<T>],
-    gain: T,
+    gains: PixelGains<'_, T>,
     hdr: &[T],
     picture: &mut [T],
 ) {
     let part = part(hdr.len());
-    picture.par_chunks_mut(part).zip(hdr.par_chunks(part)).for_each(|(picture, hdr)| {
-        for (value, &radiance) in picture.iter_mut().zip(hdr) {
-            *value = evaluate(locate, segments, gain * radiance);
-        }
+    let work = picture.par_chunks_mut(part).zip(hdr.par_chunks(part)).enumerate();
+    work.for_each(|(i, planes)| match gains.vignetting_from(i * part) {
+        None => form_part(locate, segments, repeat(gains.gain), planes),
+        Some(v) => form_part(locate, segments, v.iter().map(|&v| gains.gain * v), planes),
     });
 }
 
+fn form_part<T: Real>(
+    locate: &impl Locate<T>,
+    segments: &[Segment<T>],
+    gains: impl Iterator<Item = T>,
+    (picture, hdr): (&mut [T], &[T]),
+) {
+    for ((value, &radiance), gain) in picture.iter_mut().zip(hdr).zip(gains) {
+        *value = evaluate(locate, segments, gain * radiance);
+    }
+}
+
 /// The planes that one channel is pulled back through.
-pub(super) struct Planes<'a, T> {
-    pub(super) hdr: &'a [T],
-    pub(super) d_picture: &'a [T],
+struct Planes<'a, T> {
+    hdr: &'a [T],
+    d_picture: &'a [T],
     /// Written.
-    pub(super) d_hdr: &'a mut [T],
+    d_hdr: &'a mut [T],
 }
 
 /// Writes `d_hdr`, adds to `d_values` (one number per node), returns `∂loss/∂ln gain`.
 ///
 /// Between nodes `i` and `i + 1` the curve is `(1 - w) v_i + w v_{i+1}`: per segment, the sums
 /// of `ȳ` and of `w ȳ` over its pixels are all that the nodes need.
-pub(super) fn pull_back_plane<T: Real>(
+fn pull_back_plane<T: Real>(
     locate: &(impl Locate<T> + Sync),
     segments: &[Segment<T>],
-    gain: T,
+    gains: PixelGains<'_, T>,
     planes: Planes<'_, T>,
     d_values: &mut [T],
 ) -> T {
@@ -149,8 +191,12 @@ pub(super) fn pull_back_plane<T: Real>(
     let part = part(planes.hdr.len());
     let work = planes.hdr.par_chunks(part).zip(planes.d_picture.par_chunks(part));
     let work = work.zip(planes.d_hdr.par_chunks_mut(part)).zip(parts.par_iter_mut());
-    work.for_each(|(((hdr, d_picture), d_hdr), sums)| {
-        pull_back_part(locate, segments, gain, Planes { hdr, d_picture, d_hdr }, sums);
+    work.enumerate().for_each(|(i, (((hdr, d_picture), d_hdr), sums))| {
+        let (planes, gain) = (Planes { hdr, d_picture, d_hdr }, gains.gain);
+        match gains.vignetting_from(i * part) {
+            None => pull_back_part(locate, segments, repeat(gain), planes, sums),
+            Some(v) => pull_back_part(locate, segments, v.iter().map(|&v| gain * v), planes, sums),
+        }
     });
     for i in 0..segments.len() {
         let sum = |side: usize| parts.iter().map(|part| part.nodes[i][side]).sum::<f64>();
@@ -171,12 +217,12 @@ struct Sums {
 fn pull_back_part<T: Real>(
     locate: &impl Locate<T>,
     segments: &[Segment<T>],
-    gain: T,
+    gains: impl Iterator<Item = T>,
     planes: Planes<'_, T>,
     sums: &mut Sums,
 ) {
-    let pixels = planes.hdr.iter().zip(planes.d_picture).zip(planes.d_hdr);
-    for ((&radiance, &d_value), d_radiance) in pixels {
+    let pixels = planes.hdr.iter().zip(planes.d_picture).zip(planes.d_hdr).zip(gains);
+    for (((&radiance, &d_value), d_radiance), gain) in pixels {
         if d_value == T::zero() {
             *d_radiance = T::zero();
             continue;

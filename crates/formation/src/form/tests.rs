@@ -26,7 +26,7 @@ fn response(curves: usize, spacing: NodeSpacing) -> CameraResponse<f64> {
 
 fn form<T: Real>(tone: &FrameTone<T>, curve: &ResponseCurve<T>, hdr: &Image<T>) -> Image<T> {
     let mut picture = Image::default();
-    Formation { tone: *tone, curve }.form(hdr, &mut picture);
+    Formation { tone: *tone, curve, vignetting: None }.form(hdr, &mut picture);
     picture
 }
 
@@ -46,7 +46,7 @@ fn pull_back(curve: &ResponseCurve<f64>, hdr: &Image<f64>, d_picture: &Image<f64
         tone: FrameToneGradient::default(),
         curve: CurveGradient::zero(curve),
     };
-    let formation = Formation { tone: tone(), curve };
+    let formation = Formation { tone: tone(), curve, vignetting: None };
     formation.pull_back(hdr, d_picture, &mut g.hdr, &mut g.tone, &mut g.curve);
     g
 }
@@ -115,7 +115,7 @@ fn tone_and_curve_gradients_are_added_to() {
     let (hdr, d_picture) = (radiance(1), radiance(2));
     let once = pull_back(&curve, &hdr, &d_picture);
     let mut twice = pull_back(&curve, &hdr, &d_picture);
-    let formation = Formation { tone: tone(), curve: &curve };
+    let formation = Formation { tone: tone(), curve: &curve, vignetting: None };
     formation.pull_back(&hdr, &d_picture, &mut twice.hdr, &mut twice.tone, &mut twice.curve);
     assert_eq!(twice.hdr, once.hdr);
     assert_close("tone", &twice.tone.to_array(), &once.tone.to_array().map(|v| 2.0 * v), 1e-14);

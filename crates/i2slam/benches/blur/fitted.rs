@@ -58,7 +58,7 @@ impl Fitted {
         sampling: Sampling,
     ) -> Image<f32> {
         let curve = self.scene.responses[frame.response].curve();
-        let tone = Some(Formation { tone: frame.tone, curve: &curve });
+        let tone = Some(Formation { tone: frame.tone, curve: &curve, vignetting: None });
         let variables = FrameVariables {
             exposure: Exposure { shutter, sampling, readout: 0.0, depth_pose: None },
             tone,

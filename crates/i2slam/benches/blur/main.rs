@@ -123,7 +123,7 @@ fn print_steps() -> Outcome {
         for (k, (_, shutter, sampling)) in cases.iter().enumerate() {
             let exposure =
                 Exposure { shutter: *shutter, sampling: *sampling, readout: 0.0, depth_pose: None };
-            let tone = Some(Formation { tone: frame.tone, curve: &curve });
+            let tone = Some(Formation { tone: frame.tone, curve: &curve, vignetting: None });
             let (clock, before) = (Instant::now(), processor_seconds());
             let (map, variables) = (&fitted.map, FrameVariables { exposure, tone });
             let evaluation =

@@ -112,6 +112,8 @@ section! {
         blur: bool,
         /// Exposure, white balance and camera response. Off: the map stores picture values.
         tone: bool,
+        /// Loss of light towards the corners, found from surfaces that several keyframes see. Needs `tone`.
+        vignetting: bool,
         /// Regularise start and end pose by the trajectory of frames (eqs. 15 to 17).
         trajectory_loss: bool,
         /// Virtual cameras over the exposure (N_cam of eq. 6). Where they are re-projected and

@@ -98,6 +98,7 @@ fn ours() -> Config {
         preset: "default".to_owned(),
         input: InputConfig { crop_border: 0, minimum_gap: 0.0, ..paper.input },
         formation: FormationConfig {
+            vignetting: true,
             quadrature: Quadrature::Midpoints,
             blur_per_camera: 1.5,
             blur_model: BlurModel::Auto,
@@ -144,6 +145,7 @@ fn paper_scannet() -> Config {
         formation: FormationConfig {
             blur: true,
             tone: true,
+            vignetting: false,
             trajectory_loss: true,
             virtual_cameras: 5,
             quadrature: Quadrature::Endpoints,

@@ -34,6 +34,8 @@ pub(crate) struct MappingContext<'a> {
     /// Keyframes so far, the current frame included if it is one.
     pub(crate) keyframes: &'a [Keyframe],
     pub(crate) responses: &'a mut [CameraResponse<f32>],
+    /// Vignetting of every pixel, once it is found.
+    pub(crate) vignetting: Option<&'a [f32]>,
     /// Mask of the pixels that the camera recorded; `None`: all.
     pub(crate) valid_mask: Option<&'a Image<bool>>,
     pub(crate) random: &'a mut Random,

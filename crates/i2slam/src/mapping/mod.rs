@@ -12,6 +12,7 @@ mod gaussians;
 mod joint;
 mod keyframe;
 mod mapper;
+mod vignetting;
 mod window;
 
 pub(crate) use context::{MappingContext, RefinementStep};
@@ -21,3 +22,4 @@ pub(crate) use gaussians::GaussianMapper;
 pub(crate) use joint::JointFieldMapper;
 pub(crate) use keyframe::{AdjacentFrames, Keyframe, is_keyframe};
 pub(crate) use mapper::{Growth, Mapper};
+pub(crate) use vignetting::LensVignetting;

@@ -19,7 +19,16 @@ pub struct FrameVariables<'a> {
     pub tone: Option<Formation<'a>>,
 }
 
-impl FrameVariables<'_> {
+impl<'a> FrameVariables<'a> {
+    /// These with the vignetting of other pixels.
+    pub(super) fn with_vignetting<'b>(&self, vignetting: Option<&'b [f32]>) -> FrameVariables<'b>
+    where
+        'a: 'b,
+    {
+        let tone = self.tone.map(|tone| Formation { vignetting, ..tone });
+        FrameVariables { exposure: self.exposure, tone }
+    }
+
     /// Pulls `d_picture` back through the tone: writes `d_hdr` and the derivatives by tone and
     /// response.
     pub(super) fn pull_back_tone(
@@ -264,7 +273,7 @@ mod tests {
     use crate::objective::{BlurMethod, Sampling};
     use i2slam_check::{central_differences, noise, relative_error};
     use i2slam_formation::{
-        CameraResponse, FrameTone, NodeSpacing, Quadrature, ShutterPoses, StartCurve,
+        CameraResponse, FrameTone, NodeSpacing, Quadrature, ShutterPoses, StartCurve, Vignetting,
     };
     use i2slam_geometry::Tangent;
     use i2slam_radiance::View;
@@ -314,6 +323,7 @@ mod tests {
     ) -> Evaluation {
         let curve =
             CameraResponse::<f32>::new(3, StartCurve::Srgb, NodeSpacing::Power(2.2)).curve();
+        let lens = Vignetting { coefficients: [-0.3, -0.1, 0.0] }.at_pixels(&CAMERA);
         let part = |from: usize| Tangent::from_array(std::array::from_fn(|i| x[from + i]));
         let base = ShutterPoses {
             start: Pose::identity(),
@@ -339,7 +349,7 @@ mod tests {
                 readout: readout + x.get(16).unwrap_or(&0.0),
                 depth_pose: depth_pose.then(|| shutter.middle().retract(lead)),
             },
-            tone: Some(Formation { tone, curve: &curve }),
+            tone: Some(Formation { tone, curve: &curve, vignetting: Some(&lens) }),
         };
         let mut objective = FrameObjective::new(CAMERA, smooth());
         let mut d_map = MapGradient::new(&map());
@@ -393,7 +403,7 @@ mod tests {
             end: Pose::identity().retract(Tangent::from_array([0.0, 0.0, 0.0, 0.06, 0.08, -0.02])),
         };
         let mut objective = FrameObjective::new(CAMERA, smooth());
-        let tone = Formation { tone: FrameTone::default(), curve: &curve };
+        let tone = Formation { tone: FrameTone::default(), curve: &curve, vignetting: None };
         let exposure = |method, readout| {
             let sampling = Sampling {
                 virtual_cameras: 9,
@@ -439,7 +449,7 @@ mod tests {
                 readout: 0.0,
                 depth_pose: None,
             },
-            tone: Some(Formation { tone: FrameTone::default(), curve: &curve }),
+            tone: Some(Formation { tone: FrameTone::default(), curve: &curve, vignetting: None }),
         };
         let mut objective = FrameObjective::new(CAMERA, smooth());
         objective.set_valid_mask(valid_mask);

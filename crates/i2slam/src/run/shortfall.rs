@@ -89,7 +89,7 @@ mod tests {
     use crate::config::Config;
     use crate::reconstruction::{Map, Reconstruction};
     use crate::warning::Warning;
-    use i2slam_formation::ShutterPoses;
+    use i2slam_formation::{ShutterPoses, Vignetting};
     use i2slam_geometry::{Camera, Pose};
 
     /// A complete run on `tracked` frames and on frames that were not, with an empty map.
@@ -108,6 +108,7 @@ mod tests {
                 frames: (0..tracked + lost).map(frame).collect(),
                 map: Map::default(),
                 responses: Vec::new(),
+                vignetting: Vignetting::default(),
                 rolling_shutter_readout: 0.0,
             },
             frames_given: tracked + lost,

@@ -55,6 +55,7 @@ impl FrameTracker {
             before_previous: None,
             expected: Some(ExpectedView { world_from_camera: expected, render: &render }),
             keyframe: None,
+            vignetting: context.vignetting,
             cancellation: context.cancellation,
         };
         let response = context.config.formation.tone.then(|| &context.responses[estimate.response]);

@@ -18,8 +18,8 @@ pub use runtime_estimate::RuntimeEstimate;
 
 use crate::config::{Config, MapKind, MappingConfig};
 use crate::mapping::{
-    FieldMapper, GaussianMapper, Growth, JointFieldMapper, Keyframe, Mapper, MappingContext,
-    RefinementStep,
+    FieldMapper, GaussianMapper, Growth, JointFieldMapper, Keyframe, LensVignetting, Mapper,
+    MappingContext, RefinementStep,
 };
 use crate::reconstruction::{FrameEstimate, Reconstruction};
 use crate::tracking::SequenceReadout;
@@ -202,6 +202,9 @@ impl Session {
             Ok(Growth::Waiting) => Ok(()),
             Ok(growth) => {
                 mapper.refine(&mut context, current, growth);
+                if LensVignetting::is_due(&context, current) {
+                    self.find_vignetting();
+                }
                 Ok(())
             }
             Err(source) => {
@@ -211,11 +214,23 @@ impl Session {
         }
     }
 
+    /// Finds the vignetting anew, from all keyframes.
+    fn find_vignetting(&mut self) {
+        let formation = &self.config.formation;
+        if !(formation.vignetting && formation.tone) {
+            return;
+        }
+        let (mapper, _, context) = self.mapping();
+        if let Some(found) = LensVignetting::find(mapper, &context) {
+            self.state.vignetting = found;
+        }
+    }
+
     /// Final steps over all keyframes; where their poses are refined, in parts between which all are
     /// localised again.
     fn refine_all(&mut self, on_step: OnWatchedStep<'_>) -> Result<(), SettingsError> {
         let refines_poses = self.source.is_some();
-        let (mapper, tracker, mut context) = self.mapping();
+        let (mapper, _, mut context) = self.mapping();
         let plan = mapper.plan_final(&mut context)?;
         if refines_poses && mapper.is_empty() {
             let reason =
@@ -224,15 +239,19 @@ impl Session {
         }
         let relocalizations = if refines_poses { plan.relocalizations } else { 0 };
         let part = plan.steps.div_ceil(relocalizations + 1);
-        let (setup, readout) = ((context.config, context.camera), tracker.readout.seconds);
-        let mut on_step = |step: RefinementStep<'_>| {
-            let estimates = (step.frames, step.responses);
-            let copy = || state::reconstruction(setup, estimates, (step.map)(), readout);
-            on_step(step.done, step.of, &copy)
-        };
         for round in 0..=relocalizations {
             let first = (round * part).min(plan.steps);
             let steps = first..(first + part).min(plan.steps);
+            self.find_vignetting();
+            let vignetting = self.state.lens_vignetting();
+            let (mapper, tracker, mut context) = self.mapping();
+            let setup = (context.config, context.camera);
+            let lens = (vignetting, tracker.readout.seconds);
+            let mut on_step = |step: RefinementStep<'_>| {
+                let estimates = (step.frames, step.responses);
+                let copy = || state::reconstruction(setup, estimates, (step.map)(), lens);
+                on_step(step.done, step.of, &copy)
+            };
             if !mapper.refine_all(&mut context, (steps, plan.steps), &mut on_step) {
                 break;
             }

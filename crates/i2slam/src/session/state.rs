@@ -1,11 +1,11 @@
 //! Estimates of a session, and what mapping needs besides.
 
 use crate::config::{Config, FormationConfig};
-use crate::mapping::{Keyframe, MappingContext};
+use crate::mapping::{Keyframe, LensVignetting, MappingContext};
 use crate::reconstruction::{FrameEstimate, Map, Reconstruction};
 use crate::warning::Warning;
 use i2slam_compute::{CancellationToken, Random};
-use i2slam_formation::{CameraResponse, NodeSpacing};
+use i2slam_formation::{CameraResponse, NodeSpacing, Vignetting};
 use i2slam_geometry::{Camera, Image};
 use i2slam_storage::ScratchStore;
 use std::fmt::Display;
@@ -20,6 +20,8 @@ pub(super) struct SessionState {
     pub(super) frames: Vec<FrameEstimate>,
     pub(super) keyframes: Vec<Keyframe>,
     pub(super) responses: Vec<CameraResponse<f32>>,
+    /// Vignetting, where it was found.
+    pub(super) vignetting: Option<LensVignetting>,
     /// Mask of the pixels that the camera recorded; `None`: all.
     pub(super) valid_mask: Option<Arc<Image<bool>>>,
     pub(super) warnings: Vec<Warning>,
@@ -35,6 +37,7 @@ impl SessionState {
             frames: Vec::new(),
             keyframes: Vec::new(),
             responses: vec![initial_response(config)],
+            vignetting: None,
             valid_mask: None,
             warnings: Vec::new(),
             cancellation: CancellationToken::default(),
@@ -55,6 +58,7 @@ impl SessionState {
             frames: &mut self.frames,
             keyframes: &self.keyframes,
             responses: &mut self.responses,
+            vignetting: self.vignetting.as_ref().map(LensVignetting::at_pixels),
             valid_mask: self.valid_mask.as_deref(),
             random: &mut self.random,
             warnings: &mut self.warnings,
@@ -96,7 +100,13 @@ impl SessionState {
         rolling_shutter_readout: f64,
     ) -> Reconstruction {
         let estimates = (self.frames.as_slice(), self.responses.as_slice());
-        reconstruction((config, camera), estimates, map, rolling_shutter_readout)
+        let lens = (self.lens_vignetting(), rolling_shutter_readout);
+        reconstruction((config, camera), estimates, map, lens)
+    }
+
+    /// Loss of light towards the corners, as far as it is known.
+    pub(super) fn lens_vignetting(&self) -> Vignetting<f32> {
+        self.vignetting.as_ref().map(LensVignetting::lens).unwrap_or_default()
     }
 }
 
@@ -105,7 +115,7 @@ pub(super) fn reconstruction(
     (config, camera): (&Config, &Camera<f64>),
     (frames, responses): (&[FrameEstimate], &[CameraResponse<f32>]),
     map: Map,
-    rolling_shutter_readout: f64,
+    (vignetting, rolling_shutter_readout): (Vignetting<f32>, f64),
 ) -> Reconstruction {
     Reconstruction {
         config: config.clone(),
@@ -114,6 +124,7 @@ pub(super) fn reconstruction(
         online_trajectory: Vec::new(),
         map,
         responses: responses.to_vec(),
+        vignetting,
         rolling_shutter_readout,
     }
 }

@@ -4,7 +4,7 @@ use super::Session;
 use super::error::{SessionError, check_image};
 use super::state::SessionState;
 use crate::config::ResponseScope;
-use crate::mapping::{AdjacentFrames, Keyframe, is_keyframe};
+use crate::mapping::{AdjacentFrames, Keyframe, LensVignetting, is_keyframe};
 use crate::objective::Observation;
 use crate::reconstruction::FrameEstimate;
 use crate::tracking::{TrackingContext, TrackingResult, predict_pose};
@@ -147,7 +147,7 @@ impl Session {
     ) -> (FrameEstimate, Option<TrackingResult>) {
         let clock = Instant::now();
         let Self { config, camera, mapper, tracker, state, .. } = self;
-        let SessionState { frames, keyframes, responses, cancellation, .. } = &*state;
+        let SessionState { frames, keyframes, responses, vignetting, cancellation, .. } = &*state;
         let depth_timestamp = match &frame.depth {
             Some(depth) if config.input.depth_stamps => depth.timestamp + config.input.depth_delay,
             _ => frame.timestamp,
@@ -165,6 +165,7 @@ impl Session {
             before_previous: frames.len().checked_sub(2).map(|i| &frames[i]),
             expected: None,
             keyframe: last_keyframe.as_ref().map(|(observation, pose)| (&**observation, *pose)),
+            vignetting: vignetting.as_ref().map(LensVignetting::at_pixels),
             cancellation,
         };
         let last = responses.len() - 1;

@@ -34,6 +34,8 @@ pub(crate) struct TrackingContext<'a> {
     pub(crate) expected: Option<ExpectedView<'a>>,
     /// The last keyframe and its world-from-camera pose when its depth was taken.
     pub(crate) keyframe: Option<(&'a Observation, Pose<f64>)>,
+    /// Vignetting of every pixel; `None` for none.
+    pub(crate) vignetting: Option<&'a [f32]>,
     /// Ends first-order steps early, with the best state so far.
     pub(crate) cancellation: &'a CancellationToken,
 }

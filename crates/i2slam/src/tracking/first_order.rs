@@ -84,8 +84,14 @@ pub(super) fn refine<M: RadianceMap>(
     let mut best: Option<(f64, TrackingState, Evaluation, f64)> = None;
     for _ in 0..context.config.tracking.iterations {
         let curve = state.response.as_ref().map(CameraResponse::curve);
-        let mut evaluation =
-            evaluate(objective, map, observation, &state, curve.as_ref(), sampling);
+        let mut evaluation = evaluate(
+            objective,
+            map,
+            observation,
+            &state,
+            (curve.as_ref(), context.vignetting),
+            sampling,
+        );
         let trajectory = add_trajectory_loss(context, &state, &mut evaluation);
         let total = evaluation.total;
         if !total.is_finite() || evaluation.pixels == 0 {
@@ -114,7 +120,7 @@ fn evaluate<M: RadianceMap>(
     map: &M,
     observation: &Observation,
     state: &TrackingState,
-    curve: Option<&ResponseCurve<f32>>,
+    (curve, vignetting): (Option<&ResponseCurve<f32>>, Option<&[f32]>),
     sampling: Sampling,
 ) -> Evaluation {
     let variables = FrameVariables {
@@ -124,7 +130,7 @@ fn evaluate<M: RadianceMap>(
             readout: state.readout,
             depth_pose: None,
         },
-        tone: curve.map(|curve| Formation { tone: state.tone, curve }),
+        tone: curve.map(|curve| Formation { tone: state.tone, curve, vignetting }),
     };
     objective.track(map, observation, &variables, MIN_OPACITY, (IMAGE_WEIGHT, DEPTH_WEIGHT))
 }

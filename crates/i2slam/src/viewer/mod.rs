@@ -69,18 +69,21 @@ impl<'a> Viewer<'a> {
 }
 
 impl Viewer<'_> {
-    /// The frame without motion blur, at mid-exposure and with the frame's exposure, white balance
-    /// and response. Three planes, in `[0, 1]` apart from the leaky clip.
+    /// The frame without motion blur and vignetting, at mid-exposure and with the frame's exposure, white
+    /// balance and response. Three planes, in `[0, 1]` apart from the leaky clip.
     pub fn sharp(&mut self, frame: &FrameEstimate) -> Image<f32> {
         self.sharp_from(frame, frame.middle())
     }
 
-    /// The frame as predicted by image formation, with motion blur.
+    /// The frame as predicted by image formation, with motion blur and vignetting.
     pub fn blurred(&mut self, frame: &FrameEstimate) -> Image<f32> {
         let (sampling, curve) = (self.sampling(frame), self.curve(frame));
         let (shutter, readout) = (frame.shutter, frame.readout);
         let exposure = Exposure { shutter, sampling, readout, depth_pose: None };
-        let tone = curve.as_ref().map(|curve| Formation { tone: frame.tone, curve });
+        let lens = &self.reconstruction.vignetting;
+        let at_pixels = (!lens.is_none()).then(|| lens.at_pixels(&self.camera.cast()));
+        let vignetting = at_pixels.as_deref();
+        let tone = curve.as_ref().map(|curve| Formation { tone: frame.tone, curve, vignetting });
         self.map.predict(&FrameVariables { exposure, tone }).clone()
     }
 
@@ -131,7 +134,8 @@ impl Viewer<'_> {
 
     fn sharp_from(&mut self, frame: &FrameEstimate, pose: Pose<f64>) -> Image<f32> {
         let curve = self.curve(frame);
-        let tone = curve.as_ref().map(|curve| Formation { tone: frame.tone, curve });
+        let tone = curve.as_ref();
+        let tone = tone.map(|curve| Formation { tone: frame.tone, curve, vignetting: None });
         let mut picture = Image::default();
         form_picture(tone.as_ref(), &self.render(pose).radiance, &mut picture);
         picture

@@ -227,7 +227,7 @@ pub(crate) mod tests {
     use crate::config::Config;
     use crate::reconstruction::{Map, Reconstruction};
     use i2slam_check::noise;
-    use i2slam_formation::{CameraResponse, NodeSpacing, StartCurve};
+    use i2slam_formation::{CameraResponse, NodeSpacing, StartCurve, Vignetting};
     use i2slam_geometry::Camera;
     use i2slam_radiance::gaussian::{ColourActivation, Gaussian, GaussianMap, Shape};
 
@@ -252,6 +252,7 @@ pub(crate) mod tests {
             frames: Vec::new(),
             map: Map::Gaussians(map),
             responses: vec![CameraResponse::new(3, StartCurve::Srgb, NodeSpacing::Uniform)],
+            vignetting: Vignetting::default(),
             rolling_shutter_readout: 0.0,
         }
     }

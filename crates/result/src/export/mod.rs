@@ -18,6 +18,7 @@ pub mod nerfstudio;
 pub mod ply;
 mod scene;
 mod seed_points;
+mod seen;
 mod smooth_path;
 pub mod splat;
 mod tables;

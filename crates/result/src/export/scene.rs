@@ -3,6 +3,7 @@
 use super::axes::Axes;
 use super::error::ExportError;
 use super::level::{Up, level};
+use super::seen::views;
 use super::splat::{Display, Splat, splats};
 use crate::UnitOfLength;
 use i2slam::geometry::{Pose, Rotation, Vec3};
@@ -32,6 +33,8 @@ pub struct Selection {
     pub crop: Option<CropBox>,
     /// Gaussians of a lower opacity are left out, 0 to 1.
     pub min_opacity: f32,
+    /// Gaussians that fewer frames see are left out.
+    pub min_views: usize,
     /// Where up is.
     pub up: Up,
     /// Whether colours are linear radiance, in place of picture values.
@@ -67,20 +70,22 @@ impl Scene {
             let what = if selection.keyframes { "keyframe" } else { "frame" };
             return Err(ExportError::refused(format!("the result has no {what} with a pose")));
         }
-        if selection.crop.is_some() || selection.min_opacity > 0.0 {
+        if selection.crop.is_some() || selection.min_opacity > 0.0 || selection.min_views > 0 {
+            let views = views_of(&reconstruction, &frames, selection.min_views);
             let Map::Gaussians(map) = &mut reconstruction.map else {
                 return Err(ExportError::refused(
                     "the map is a hash grid: it has no Gaussians to leave out, export it without \
-                     --crop and --min-opacity",
+                     --crop, --min-opacity and --min-views",
                 ));
             };
-            keep(map, |mean, opacity| {
+            keep(map, |i, mean, opacity| {
                 let inside = |b: CropBox| b.contains(level_from_world.rotate(mean));
-                opacity >= selection.min_opacity && selection.crop.is_none_or(inside)
+                let is_seen = views.get(i).is_none_or(|views| *views >= selection.min_views);
+                opacity >= selection.min_opacity && is_seen && selection.crop.is_none_or(inside)
             });
             if map.is_empty() {
                 return Err(ExportError::refused(
-                    "no Gaussian is left: choose a larger box or a lower opacity (the box is in the \
+                    "no Gaussian is left: choose a larger box, a lower opacity or fewer views (the box is in the \
                      levelled world, x right, y down, z forward from the first camera)",
                 ));
             }
@@ -145,14 +150,27 @@ impl Scene {
     }
 }
 
-/// Keeps the Gaussians that a rule on mean and opacity lets pass.
-fn keep(map: &mut GaussianMap<f32>, passes: impl Fn(Vec3<f64>, f32) -> bool) {
+/// Frames that see each Gaussian, where somebody asks; else none.
+fn views_of(
+    reconstruction: &Reconstruction,
+    frames: &[FrameEstimate],
+    min_views: usize,
+) -> Vec<usize> {
+    match &reconstruction.map {
+        Map::Gaussians(map) if min_views > 0 => views(reconstruction, frames, &map.means),
+        _ => Vec::new(),
+    }
+}
+
+/// Keeps the Gaussians that a rule on number, mean and opacity lets pass.
+fn keep(map: &mut GaussianMap<f32>, passes: impl Fn(usize, Vec3<f64>, f32) -> bool) {
     let opacity = |logit: f32| 1.0 / (1.0 + (-logit).exp());
     let kept: Vec<bool> = map
         .means
         .iter()
         .zip(&map.opacity_logits)
-        .map(|(mean, logit)| passes(Vec3::from_array(mean.map(f64::from)), opacity(*logit)))
+        .enumerate()
+        .map(|(i, (mean, logit))| passes(i, Vec3::from_array(mean.map(f64::from)), opacity(*logit)))
         .collect();
     map.retain(&kept);
 }

@@ -122,6 +122,7 @@ pub(super) fn tone(report: &Report<'_>) -> String {
     exposure(report).html()
         + &white_balance(&reconstruction.frames).html()
         + &response(report).html()
+        + &vignetting(report).map_or_else(String::new, |plot| plot.html())
 }
 
 fn exposure(report: &Report<'_>) -> Plot {
@@ -201,6 +202,22 @@ fn response(report: &Report<'_>) -> Plot {
         plot.series.push(Series::line(name, colour, values));
     }
     plot
+}
+
+/// Steps of the curve of vignetting.
+const VIGNETTING_STEPS: usize = 50;
+
+/// Vignetting from the centre of the picture to its corners; none where none was found.
+fn vignetting(report: &Report<'_>) -> Option<Plot> {
+    let lens = &report.reconstruction.vignetting;
+    let explanation = "Share of the light that the lens passes, from the centre of the picture to its \
+                       corners.";
+    let mut plot = over_frames("Vignetting", explanation, "share of light");
+    plot.x_label = "distance from the centre [half diagonals]".to_owned();
+    let radii = (0..=VIGNETTING_STEPS).map(|i| i as f64 / VIGNETTING_STEPS as f64);
+    let values = radii.map(|r| (r, f64::from(lens.at((r * r) as f32))));
+    plot.series.push(Series::line("share of light", "c1", values));
+    (!lens.is_none()).then_some(plot)
 }
 
 /// Blur length of the frames.

@@ -1,9 +1,10 @@
-//! Exposure, noise, one colour and a covered lens on a picture.
+//! Vignetting, exposure, noise, one colour and a covered lens on a picture.
 
 use super::Degradation;
+use super::vignetting::Falloff;
 use crate::rng::{gaussian, stream};
 use crate::sensor::with_noise;
-use i2slam_geometry::Image;
+use i2slam_geometry::{Camera, Image};
 
 /// Exposure change of a covered lens [stops].
 const COVERED_STOPS: f64 = -11.0;
@@ -12,7 +13,12 @@ const GREY: f32 = 128.0 / 255.0;
 
 impl Degradation {
     /// The degraded picture of a frame.
-    pub(super) fn degrade_colour(&self, colour: &Image<f32>, frame: usize) -> Image<f32> {
+    pub(super) fn degrade_colour(
+        &self,
+        colour: &Image<f32>,
+        camera: &Camera<f64>,
+        frame: usize,
+    ) -> Image<f32> {
         let mut out = colour.clone();
         if self.is_grey(frame) {
             out.data.fill(GREY);
@@ -20,7 +26,8 @@ impl Degradation {
         }
         let covered = if self.covers(frame) { COVERED_STOPS } else { 0.0 };
         let gain = (self.stops(frame) + covered).exp2() as f32;
-        if gain == 1.0 && self.sensor_noise.is_none() {
+        let lens = Falloff::of(self);
+        if gain == 1.0 && self.sensor_noise.is_none() && lens.is_none() {
             return out;
         }
         let mut random = stream(self.seed, 22, frame as u64);
@@ -28,8 +35,11 @@ impl Degradation {
             let linear: Vec<f32> = (0..=LEVELS)
                 .map(|i| self.response.invert(i as f32 / LEVELS as f32, channel))
                 .collect();
-            for value in out.plane_mut(channel) {
+            for (pixel, value) in out.plane_mut(channel).iter_mut().enumerate() {
                 let mut exposed = linear_value(&linear, *value) * gain;
+                if let Some(lens) = &lens {
+                    exposed *= lens.at_pixel(camera, pixel);
+                }
                 if let Some(noise) = &self.sensor_noise {
                     exposed = with_noise(exposed, noise, gaussian(&mut random));
                 }

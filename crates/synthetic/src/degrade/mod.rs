@@ -6,6 +6,7 @@ mod ground_truth;
 mod moving_object;
 mod order;
 mod readme;
+mod vignetting;
 
 pub use depth::DepthDegradation;
 
@@ -24,6 +25,7 @@ use rayon::prelude::*;
 use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
+use vignetting::Falloff;
 
 /// Frames processed at once; bounds memory.
 const BATCH: usize = 16;
@@ -47,6 +49,8 @@ pub struct Degradation {
     pub scale: f64,
     /// Faults of depth.
     pub depth: DepthDegradation,
+    /// Vignetting: share of the light that reaches the corners, in `[0.2, 1]`.
+    pub vignetting: Option<f64>,
     /// Noise on exposed linear values.
     pub sensor_noise: Option<NoiseSpec>,
     /// Exposure changes, each from its frame to the next one's.
@@ -65,7 +69,7 @@ pub struct Degradation {
     pub shuffled: Vec<Range<usize>>,
     /// Share of the picture that a moving object covers.
     pub moving_object: Option<f64>,
-    /// Assumed camera response, for noise and exposure steps.
+    /// Assumed camera response, for vignetting, noise and exposure steps.
     pub response: Response,
 }
 
@@ -76,6 +80,7 @@ impl Default for Degradation {
             seed: 7,
             scale: 1.0,
             depth: DepthDegradation::default(),
+            vignetting: None,
             sensor_noise: None,
             exposure_steps: Vec::new(),
             drop_share: 0.0,
@@ -127,6 +132,9 @@ impl Degradation {
         if let Some(step) = self.exposure_steps.iter().find(|s| !(-20.0..=20.0).contains(&s.stops))
         {
             return refuse("exposure step", step.stops, "-20 to 20 stops");
+        }
+        if let Some(corner) = self.vignetting.filter(|corner| !(0.2..=1.0).contains(corner)) {
+            return refuse("vignetting", corner, "0.2 to 1, the share of light in the corners");
         }
         if let Some(noise) = &self.sensor_noise {
             for (key, value) in [("read noise", noise.read), ("shot noise", noise.shot)] {
@@ -237,7 +245,7 @@ impl<'a> Degrader<'a> {
             }
             None => Arc::clone(&frame.colour),
         };
-        let picture = self.what.degrade_colour(&colour, source);
+        let picture = self.what.degrade_colour(&colour, &self.sequence.camera, source);
         write_bytes(folder, &format!("rgb/{number:06}.png"), write_picture(&picture))?;
         let Some(own) = frame.depth else { return Ok(()) };
         let depth = write_depth(&self.depth(&own, source));
@@ -267,6 +275,9 @@ impl<'a> Degrader<'a> {
         write_list(folder, "depth", "depth images, 5000 = 1 m", depth)?;
         let camera = camera_json(&sequence.camera, DEPTH_SCALE, sequence.frame_rate);
         folder.write_text("camera.json", &camera)?;
+        if let Some(lens) = Falloff::of(what) {
+            folder.write_text("vignetting.json", &lens.json())?;
+        }
         ground_truth::copy_ground_truth(self.dataset, folder, sequence, order, what)
     }
 }
@@ -276,7 +287,7 @@ impl<'a> Degrader<'a> {
 /// copy is replaced only if `overwrite`. `progress` receives the numbers of finished and of all
 /// frames and returns whether to continue.
 ///
-/// In each frame a moving object is drawn first, then depth and colour get their faults, then lens
+/// In each frame a moving object is drawn first, then depth and colour get their faults (colour first vignetting, then exposure and noise), then lens
 /// and picture are covered; frozen and shuffled frames show the result.
 pub fn degrade(
     dataset: &Path,

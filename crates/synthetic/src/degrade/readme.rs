@@ -13,6 +13,9 @@ pub(super) fn readme(name: &str, what: &Degradation, frames: usize) -> String {
     let steps: Vec<String> = steps.map(|s| format!("{} stops from {}", s.stops, s.frame)).collect();
     let noise = what.sensor_noise.as_ref();
     let noise = noise.map_or("none".into(), |n| format!("read {}, shot {}", n.read, n.shot));
+    let vignetting = what.vignetting;
+    let vignetting = vignetting
+        .map_or("none".into(), |v| format!("{v} of the light in the corners (vignetting.json)"));
     let object = what.moving_object;
     let object = object.map_or("none".into(), |share| format!("{share} of the picture"));
     // The name of a folder is no Markdown.
@@ -20,7 +23,7 @@ pub(super) fn readme(name: &str, what: &Degradation, frames: usize) -> String {
     format!(
         "# {name}, degraded\n\nMade by `i2slam degrade` with seed {}. Frames are counted in the source; \
          source.csv names the source of every frame here.\n\n\
-         - size over the source's: {}\n{}- sensor noise: {noise}\n- exposure steps: {}\n\
+         - size over the source's: {}\n{}- vignetting: {vignetting}\n- sensor noise: {noise}\n- exposure steps: {}\n\
          - dropped by chance: {}, by range: {}\n- covered lens: {}\n- grey: {}\n- frozen: {}\n\
          - shuffled: {}\n- moving object: {object}\n- assumed response: {:?}\n- frames: {frames}\n",
         what.seed,

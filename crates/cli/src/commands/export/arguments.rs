@@ -27,6 +27,9 @@ pub(crate) struct Export {
     /// Only Gaussians of at least this opacity, 0 to 1
     #[arg(long, value_name = "P", allow_negative_numbers = true)]
     pub(crate) min_opacity: Option<f32>,
+    /// Only Gaussians that at least so many frames see: what one or two frames show is the least certain
+    #[arg(long, value_name = "N")]
+    pub(crate) min_views: Option<usize>,
     /// Which way is up: `estimate` from cameras and surfaces, `keep` the world of the result, or a
     /// direction in that world
     #[arg(long, value_name = "\"x y z\"", default_value = "estimate", allow_hyphen_values = true)]
@@ -110,7 +113,8 @@ impl Export {
         let crop = self.crop.as_deref().map(parse_crop).transpose()?;
         self.check_flags_of_formats()?;
         let (up, linear, keyframes) = (parse_up(&self.up)?, self.linear, self.keyframes);
-        Ok(Selection { crop, min_opacity, up, linear, keyframes })
+        let min_views = self.min_views.unwrap_or(0);
+        Ok(Selection { crop, min_opacity, min_views, up, linear, keyframes })
     }
 }
 
@@ -118,11 +122,11 @@ impl Export {
     /// Refuses flags that the format has no use for.
     fn check_flags_of_formats(&self) -> Result<(), Failure> {
         let format = self.format;
-        let is_cut = self.crop.is_some() || self.min_opacity.is_some();
+        let is_cut = self.crop.is_some() || self.min_opacity.is_some() || self.min_views.is_some();
         if is_cut && matches!(format, Format::Tum | Format::Csv) {
             let name = format.name();
             return Err(Failure::Usage(format!(
-                "--crop and --min-opacity cut the map; {name} holds the path alone"
+                "--crop, --min-opacity and --min-views cut the map; {name} holds the path alone"
             )));
         }
         let is_linear_possible = !matches!(

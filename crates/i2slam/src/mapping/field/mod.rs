@@ -231,8 +231,8 @@ impl FieldMapper {
 }
 
 /// Rays of a keyframe for about `rays` rays in all: random pixels, a ray per virtual camera.
-fn sample_rays<'a>(
-    context: &mut MappingContext<'_>,
+fn sample_rays<'a, 'c: 'a>(
+    context: &mut MappingContext<'c>,
     (keyframe, observation): (&Keyframe, &'a Observation),
     curves: &'a BTreeMap<usize, ResponseCurve<f32>>,
     rays: usize,
@@ -243,7 +243,8 @@ fn sample_rays<'a>(
     let cameras = &mut exposure.sampling.virtual_cameras;
     *cameras = (*cameras).min(context.config.formation.virtual_cameras);
     let curve = curves.get(&estimate.response);
-    let tone = curve.map(|curve| Formation { tone: estimate.tone, curve });
+    let tone =
+        curve.map(|curve| Formation { tone: estimate.tone, curve, vignetting: context.vignetting });
     let variables = FrameVariables { exposure, tone };
     let mut view = PixelBatch { observation, variables, pixels: Vec::new() };
     let count = (rays / view.rays_per_pixel()).max(1);

@@ -173,7 +173,9 @@ pub(super) fn radiance_of_point(source: &SourceFrame<'_>, point: Vec3<f64>) -> O
     let tap = colour.tap(inside(u, colour.width), inside(v, colour.height))?;
     let picture: [f32; 3] = std::array::from_fn(|c| tap.sample(colour.plane(c)).0);
     let Some(tone) = &source.tone else { return Some(picture) };
-    let gains = tone.tone.gains();
+    let pixel = v as usize * colour.width + u as usize;
+    let vignetting = tone.vignetting.map_or(1.0, |all| all[pixel]);
+    let gains = tone.tone.gains().map(|gain| gain * vignetting);
     // Values 0 and 1 are clipped: stay half a code value of 8 bits inside.
     let unclipped = |v: f32| v.clamp(1.0 / 512.0, 1.0 - 1.0 / 512.0);
     Some(std::array::from_fn(|c| tone.curve.inverse(c, unclipped(picture[c])) / gains[c]))

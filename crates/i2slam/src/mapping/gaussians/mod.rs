@@ -132,7 +132,7 @@ impl GaussianMapper {
         let tone = context.frames[keyframe.frame].tone;
         let variables = FrameVariables {
             exposure: context.exposure(keyframe.frame, observation),
-            tone: curve.map(|curve| Formation { tone, curve }),
+            tone: curve.map(|curve| Formation { tone, curve, vignetting: context.vignetting }),
         };
         let ComparedMap { map, objective } = &mut self.current;
         objective.predict(map, &variables).clone()
@@ -197,7 +197,11 @@ fn source_frame<'a>(
         readout: estimate.readout,
         observation,
         depth: placement_depth(observation, is_filled, context.valid_mask, render),
-        tone: curve.map(|curve| Formation { tone: estimate.tone, curve }),
+        tone: curve.map(|curve| Formation {
+            tone: estimate.tone,
+            curve,
+            vignetting: context.vignetting,
+        }),
     }
 }
 

@@ -115,7 +115,11 @@ impl GaussianOptimizer {
         let curve = config.formation.tone.then(|| context.responses[estimate.response].curve());
         let variables = FrameVariables {
             exposure: context.exposure(keyframe.frame, observation),
-            tone: curve.as_ref().map(|curve| Formation { tone: estimate.tone, curve }),
+            tone: curve.as_ref().map(|curve| Formation {
+                tone: estimate.tone,
+                curve,
+                vignetting: context.vignetting,
+            }),
         };
         self.gradient.reset(map);
         objective.map(

@@ -21,8 +21,8 @@ use i2slam_radiance::hashgrid::{FieldSettings, HashGridMap, Occupancy};
 use std::collections::BTreeMap;
 
 /// Random pixels of a keyframe, at most `count`; each takes a ray per virtual camera.
-pub(super) fn sample_pixels<'a>(
-    context: &mut MappingContext<'_>,
+pub(super) fn sample_pixels<'a, 'c: 'a>(
+    context: &mut MappingContext<'c>,
     (keyframe, observation): (&Keyframe, &'a Observation),
     curves: &'a BTreeMap<usize, ResponseCurve<f32>>,
     count: usize,
@@ -34,7 +34,9 @@ pub(super) fn sample_pixels<'a>(
         readout: 0.0,
         depth_pose: None,
     };
-    let tone = curves.get(&estimate.response).map(|curve| Formation { tone: estimate.tone, curve });
+    let vignetting = context.vignetting;
+    let tone = curves.get(&estimate.response);
+    let tone = tone.map(|curve| Formation { tone: estimate.tone, curve, vignetting });
     let variables = FrameVariables { exposure, tone };
     let size = observation.depth.pixels();
     let pixels = random_pixels(size, count.max(1), context.valid_mask, context.random);

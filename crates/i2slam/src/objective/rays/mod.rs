@@ -58,6 +58,12 @@ impl PixelBatch<'_> {
         self.exposure_samples() + usize::from(self.has_depth_ray())
     }
 
+    /// Vignetting of the pixels; `None` for none.
+    fn vignetting(&self) -> Option<Vec<f32>> {
+        let all = self.variables.tone?.vignetting?;
+        Some(self.pixels.iter().map(|&pixel| all[pixel]).collect())
+    }
+
     fn depth_pose(&self) -> Pose<f64> {
         let exposure = &self.variables.exposure;
         exposure.depth_pose.unwrap_or_else(|| exposure.shutter.middle())
@@ -229,9 +235,11 @@ impl RayObjective {
     ) -> Evaluation {
         let mut evaluation = Evaluation { pixels: batch.pixels.len(), ..Evaluation::default() };
         self.average(batch, range);
-        self.compare_pictures(batch, weights.0, &mut evaluation);
+        let vignetting = batch.vignetting();
+        let variables = batch.variables.with_vignetting(vignetting.as_deref());
+        self.compare_pictures(batch, &variables, weights.0, &mut evaluation);
         let (hdr, d_picture) = (&self.hdr, &self.d_picture);
-        batch.variables.pull_back_tone(hdr, d_picture, &mut self.d_hdr, &mut evaluation);
+        variables.pull_back_tone(hdr, d_picture, &mut self.d_hdr, &mut evaluation);
         let (samples, stride) = (batch.exposure_samples(), batch.rays_per_pixel());
         let count = batch.pixels.len();
         for (i, rays) in self.cotangents[range.clone()].chunks_mut(stride).enumerate() {
@@ -258,11 +266,12 @@ impl RayObjective {
     fn compare_pictures(
         &mut self,
         batch: &PixelBatch<'_>,
+        variables: &FrameVariables<'_>,
         weight: f32,
         evaluation: &mut Evaluation,
     ) {
         let count = batch.pixels.len();
-        form_picture(batch.variables.tone.as_ref(), &self.hdr, &mut self.picture);
+        form_picture(variables.tone.as_ref(), &self.hdr, &mut self.picture);
         self.d_picture.reset(count, 1, 3);
         let scale = weight / (3 * count).max(1) as f32;
         let mut sum = 0.0;
@@ -343,8 +352,10 @@ impl RayObjective {
     fn picture_slopes(&mut self, batch: &PixelBatch<'_>) {
         self.d_picture.reset(batch.pixels.len(), 1, 3);
         self.d_picture.data.fill(1.0);
+        let vignetting = batch.vignetting();
+        let variables = batch.variables.with_vignetting(vignetting.as_deref());
         let (hdr, d_picture, unused) = (&self.hdr, &self.d_picture, &mut Evaluation::default());
-        batch.variables.pull_back_tone(hdr, d_picture, &mut self.d_hdr, unused);
+        variables.pull_back_tone(hdr, d_picture, &mut self.d_hdr, unused);
     }
 
     /// Sets the cotangents that select one channel of every pixel.

@@ -4,7 +4,7 @@ use super::*;
 use crate::objective::{Exposure, Sampling};
 use i2slam_check::{central_differences, noise, relative_error};
 use i2slam_formation::{
-    CameraResponse, Formation, FrameTone, NodeSpacing, ShutterPoses, StartCurve,
+    CameraResponse, Formation, FrameTone, NodeSpacing, ShutterPoses, StartCurve, Vignetting,
 };
 use i2slam_geometry::Tangent;
 use i2slam_radiance::hashgrid::{
@@ -110,6 +110,7 @@ fn evaluated(
     map: &HashGridMap,
 ) -> (Vec<Evaluation>, RayObjective, Vec<[f64; 12]>) {
     let curve = CameraResponse::<f32>::new(3, StartCurve::Srgb, NodeSpacing::Power(2.2)).curve();
+    let lens = Vignetting { coefficients: [-0.3, -0.1, 0.0] }.at_pixels(&CAMERA);
     let shutter = shutter(x);
     let frame = FrameTone {
         log_exposure: x[12] as f32,
@@ -126,7 +127,7 @@ fn evaluated(
                 readout: 0.3,
                 depth_pose: (depth == Depth::Beside).then(|| beside(&shutter)),
             },
-            tone: Some(Formation { tone: frame, curve: &curve }),
+            tone: Some(Formation { tone: frame, curve: &curve, vignetting: Some(&lens) }),
         },
         pixels: pixels(),
     };
@@ -295,7 +296,8 @@ fn the_shutter_hessian_agrees_with_differences() {
         let step = ShutterTangent::from_array(std::array::from_fn(|i| x[i]));
         let pixels = (0..16 * 12).step_by(5).collect();
         let mut view = batch(&observation, still.retract(&step), 3, pixels);
-        view.variables.tone = Some(Formation { tone: FrameTone::default(), curve: &curve });
+        view.variables.tone =
+            Some(Formation { tone: FrameTone::default(), curve: &curve, vignetting: None });
         view
     };
     let mut objective = RayObjective::new(CAMERA, map.march);

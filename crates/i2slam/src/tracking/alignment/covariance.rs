@@ -249,6 +249,7 @@ mod tests {
             before_previous: None,
             expected: None,
             keyframe: None,
+            vignetting: None,
             cancellation: &CancellationToken::default(),
         };
         let frame = FrameAlignment {

@@ -19,6 +19,7 @@ use super::context::{PredictedMotion, TrackingContext, TrackingResult, TrackingS
 use crate::objective::{FrameObjective, Observation};
 use crate::reconstruction::{Convergence, Losses};
 use i2slam_compute::median;
+use i2slam_formation::vignetting::without_vignetting;
 use i2slam_formation::{CameraResponse, CentreVelocity, ResponseCurve};
 use i2slam_geometry::{Pose, Tangent};
 use i2slam_odometry::alignment::{FrameLevel, ResidualSums};
@@ -26,6 +27,7 @@ use i2slam_radiance::RadianceMap;
 use levenberg_marquardt::AlignmentOutcome;
 use priors::MotionPrior;
 use pyramid::frame_levels;
+use std::sync::Arc;
 
 /// Levels of the image pyramids.
 const LEVELS: usize = 3;
@@ -80,11 +82,16 @@ pub(super) fn align<M: RadianceMap>(
     motion: PredictedMotion,
 ) -> TrackingResult {
     let previous_pose = context.previous.map_or_else(Pose::identity, |p| p.middle());
+    let curve = predicted.response.as_ref().map(CameraResponse::curve);
+    let colour = match (&curve, context.vignetting) {
+        (Some(curve), Some(v)) => Arc::new(without_vignetting(&observation.colour, curve, v)),
+        _ => Arc::clone(&observation.colour),
+    };
     let frame = FrameAlignment {
         context,
-        levels: frame_levels(context.camera, observation, LEVELS),
+        levels: frame_levels(context.camera, (colour, &observation.depth), LEVELS),
         observation,
-        curve: predicted.response.as_ref().map(CameraResponse::curve),
+        curve,
         pixels_per_unit: pixels_per_unit(context, observation),
         previous_pose,
         predicted_white_balance: predicted.tone.log_white_balance,

@@ -1,6 +1,5 @@
 //! Image pyramids: the observed frame, the rendered map and a keyframe's depth at several sizes.
 
-use crate::objective::Observation;
 use i2slam_geometry::{Camera, Image};
 use i2slam_odometry::alignment::{
     FrameLevel, TargetLevel, halved_by_mean, halved_camera, halved_depth,
@@ -13,18 +12,13 @@ const MIN_OPACITY: f32 = 0.95;
 /// Distance of samples on the finest level [px]; coarser levels use every pixel.
 const FINEST_STRIDE: usize = 2;
 
-/// The observed frame at `levels` sizes, finest first.
+/// The observed frame, its colour without vignetting, at `levels` sizes, finest first.
 pub(super) fn frame_levels(
     camera: &Camera<f64>,
-    observation: &Observation,
+    (colour, depth): (Arc<Image<f32>>, &Arc<Image<f32>>),
     levels: usize,
 ) -> Vec<FrameLevel> {
-    let finest = FrameLevel::new(
-        camera.cast(),
-        Arc::clone(&observation.colour),
-        Arc::clone(&observation.depth),
-        FINEST_STRIDE,
-    );
+    let finest = FrameLevel::new(camera.cast(), colour, Arc::clone(depth), FINEST_STRIDE);
     halve_repeatedly(finest, levels, |fine| {
         let colour = halved_by_mean(&fine.colour);
         let camera = halved_camera(&fine.camera, &colour);

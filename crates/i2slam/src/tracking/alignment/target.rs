@@ -139,6 +139,7 @@ mod tests {
     use i2slam_radiance::gaussian::{
         ColourActivation, Gaussian, GaussianMap, RasterSettings, Shape,
     };
+    use std::sync::Arc;
 
     const CAMERA: Camera<f64> =
         Camera { width: 32, height: 24, fx: 30.0, fy: 30.0, cx: 16.0, cy: 12.0 };
@@ -170,11 +171,16 @@ mod tests {
             before_previous: None,
             expected: Some(ExpectedView { world_from_camera: Pose::identity(), render }),
             keyframe: None,
+            vignetting: None,
             cancellation: &cancellation,
         };
         let frame = FrameAlignment {
             context: &context,
-            levels: super::super::pyramid::frame_levels(&CAMERA, &observation, 2),
+            levels: super::super::pyramid::frame_levels(
+                &CAMERA,
+                (Arc::clone(&observation.colour), &observation.depth),
+                2,
+            ),
             observation: &observation,
             curve: None,
             pixels_per_unit: [15.0; 6],
