@@ -30,8 +30,8 @@ pub use sensor::{
     AutoExposure, Response, Sensor, ShutterRule, raw_exposure_value, white_balance_at,
 };
 pub use spec::{
-    CameraSpec, DepthSpec, ExposureSpec, LightSpec, MotionSpec, NoiseSpec, OutputSpec, RoomSpec,
-    SHIPPED as SHIPPED_SPECS, Spec, WhiteBalanceSpec,
+    CameraSpec, DepthSpec, ExposureSpec, GlossSpec, LightSpec, MotionSpec, NoiseSpec, OutputSpec,
+    RoomSpec, SHIPPED as SHIPPED_SPECS, Spec, WhiteBalanceSpec,
 };
 pub use synthesise::{Stage, synthesise};
 pub use write::Summary;

@@ -58,7 +58,7 @@ pub fn synthesise(
     spec.validate()?;
     spec.validate_memory()?;
     let folder = output_folder(out, "i2slam synth", overwrite)?;
-    folder.write_text("spec.toml", &spec.to_toml())?;
+    folder.write_text("spec.toml", &spec.record())?;
     let go_on = |on: bool| if on { Ok(()) } else { Err(SyntheticError::Interrupted) };
     go_on(progress(Stage::Lighting))?;
     let lit = compute_light(furnished_room(spec), spec);

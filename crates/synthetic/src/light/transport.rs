@@ -32,7 +32,7 @@ pub(super) fn direct_light(
     sum
 }
 
-fn is_open(scene: &Scene, origin: Vec3, towards: Vec3) -> bool {
+pub(super) fn is_open(scene: &Scene, origin: Vec3, towards: Vec3) -> bool {
     let ray = Ray { origin, direction: towards, from: 0.0, to: 0.9995 };
     let lets_through = |role| matches!(role, LightRole::Lamp | LightRole::Pane);
     scene.first_hit(&ray).is_none_or(|hit| lets_through(scene.surfaces[hit.surface].material.role))
@@ -98,7 +98,7 @@ fn sample_emitter(origin: Vec3, emitter: &Emitter, a: f32, b: f32) -> (Vec3, f32
 }
 
 /// Two unit vectors orthogonal to a unit vector (Duff et al. 2017).
-fn orthonormal_basis(n: Vec3) -> (Vec3, Vec3) {
+pub(super) fn orthonormal_basis(n: Vec3) -> (Vec3, Vec3) {
     let sign = 1.0_f32.copysign(n.z);
     let a = -1.0 / (sign + n.z);
     let b = n.x * n.y * a;

@@ -3,6 +3,7 @@
 mod builder;
 mod bvh;
 mod furniture;
+mod gloss;
 mod library;
 mod objects;
 mod room;
@@ -11,6 +12,7 @@ mod shape;
 use crate::rgb::Rgb;
 use crate::texture::{Decoder, Texture};
 pub(crate) use bvh::Bvh;
+pub(crate) use gloss::Gloss;
 pub(crate) use room::furnished_room;
 pub(crate) use shape::{Hit, Ray, Shape};
 
@@ -43,6 +45,8 @@ pub(crate) struct Material {
     pub(crate) role: LightRole,
     /// Radiance of white, for emitters.
     pub(crate) radiance: f32,
+    /// Light reflected about the mirror direction, on top of the diffuse light.
+    pub(crate) gloss: Gloss,
 }
 
 /// A shape with its material.

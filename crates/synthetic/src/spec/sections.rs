@@ -65,6 +65,21 @@ section! {
 }
 
 section! {
+    /// Gloss: light that is reflected about the mirror direction, by Schlick's formula for the
+    /// reflectance. What it throws onto other surfaces is left out.
+    gloss: GlossSpec {
+        /// Reflectance of floor, furniture and glazes at normal incidence; 0.04 is varnish, 0 is
+        /// matt. Polished floors have no rug, polished tables no cloth.
+        polish: f64 = 0.0, 0.0..=1.0;
+        /// Standard deviation of reflected directions along each axis [degrees]; 0 is a clear image.
+        /// The floor's is twice as large.
+        spread: f64 = 1.0, 0.0..=20.0;
+        /// Whether a mirror hangs above the sofa in place of the paintings.
+        mirror: bool = false;
+    }
+}
+
+section! {
     /// The motion: a spline around the room or before the desk, hand tremor, rotation bursts, and a
     /// turn away and back.
     motion: MotionSpec {
