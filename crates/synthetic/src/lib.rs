@@ -11,6 +11,7 @@
 mod degrade;
 mod depth_noise;
 mod error;
+mod lens;
 mod light;
 mod motion;
 mod render;
@@ -26,12 +27,13 @@ mod write;
 pub use degrade::{Degradation, DegradationCounts, DepthDegradation, ExposureStep, degrade};
 pub use depth_noise::KinectNoise;
 pub use error::SyntheticError;
+pub use lens::vignetting_at;
 pub use sensor::{
     AutoExposure, Response, Sensor, ShutterRule, raw_exposure_value, white_balance_at,
 };
 pub use spec::{
-    CameraSpec, DepthSpec, ExposureSpec, GlossSpec, LightSpec, MotionSpec, NoiseSpec, OutputSpec,
-    RoomSpec, SHIPPED as SHIPPED_SPECS, Spec, WhiteBalanceSpec,
+    CameraSpec, DepthSpec, ExposureSpec, GlossSpec, LensSpec, LightSpec, MotionSpec, NoiseSpec,
+    OutputSpec, RoomSpec, SHIPPED as SHIPPED_SPECS, Spec, WhiteBalanceSpec,
 };
 pub use synthesise::{Stage, synthesise};
 pub use write::Summary;

@@ -2,7 +2,7 @@
 
 use crate::error::SyntheticError;
 use crate::sensor::ShutterRule;
-use crate::spec::{GlossSpec, NoiseSpec, Spec, WhiteBalanceSpec};
+use crate::spec::{GlossSpec, LensSpec, NoiseSpec, Spec, WhiteBalanceSpec};
 use i2slam_geometry::{Camera, Image, Pose};
 use i2slam_storage::{Claim, OutputFolder};
 use std::io::{self, Cursor};
@@ -231,7 +231,21 @@ pub(crate) fn readme(spec: &Spec, rule: &ShutterRule, s: &Summary) -> String {
          | blur, median / 90 % / largest | {bl0:.2} / {bl1:.2} / {bl2:.2} px |\n\
          | median depth, smallest / middle / largest | {d0:.2} / {d1:.2} / {d2:.2} m |\n",
     );
-    text + &gloss_lines(spec)
+    text + &gloss_lines(spec) + &lens_lines(spec)
+}
+
+/// The part of the README on the lens; empty without vignetting.
+fn lens_lines(spec: &Spec) -> String {
+    if spec.lens == LensSpec::default() {
+        return String::new();
+    }
+    let [a, b, c] = spec.lens.vignetting;
+    format!(
+        "\n## Lens\n\nrgb and sharp, not hdr, are multiplied by v(r) = 1 + {a} r^2 + {b} r^4 + {c} r^6 in linear \
+         light before noise and response; r: distance from the middle of the picture over half its diagonal. v(1) = \
+         {:.3}. exposure.csv repeats the coefficients in every line.\n",
+        1.0 + a + b + c
+    )
 }
 
 /// The part of the README on gloss; empty of a matt room.

@@ -57,6 +57,7 @@ specification! {
     depth: DepthSpec,
     output: OutputSpec;
     gloss: GlossSpec,
+    lens: LensSpec,
 }
 
 /// Specifications that come with the crate: name and text.
@@ -113,6 +114,7 @@ impl Spec {
     /// rendered.
     pub fn validate(&self) -> Result<(), SyntheticError> {
         self.check_sections()?;
+        self.lens.check_light()?;
         let (low, high) = (self.exposure.shutter_minimum, self.exposure.shutter_maximum);
         if low > high {
             return Err(SyntheticError::OutOfRange {

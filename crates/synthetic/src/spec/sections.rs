@@ -80,6 +80,15 @@ section! {
 }
 
 section! {
+    /// The lens.
+    lens: LensSpec {
+        /// Vignetting: a, b, c of the factor 1 + a r^2 + b r^4 + c r^6 on linear light, r the
+        /// distance from the middle of the picture over half its diagonal; 0.0 thrice is none.
+        vignetting: [f64; 3] = [0.0; 3], -8.0..=8.0;
+    }
+}
+
+section! {
     /// The motion: a spline around the room or before the desk, hand tremor, rotation bursts, and a
     /// turn away and back.
     motion: MotionSpec {
