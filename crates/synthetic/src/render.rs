@@ -51,9 +51,12 @@ impl View {
 
     #[inline]
     fn radiance(&self, lit: &LitScene, u: f32, v: f32, sample: &Sample) -> Rgb {
+        let pixel = [u as usize, v as usize];
         let ray = self.ray(u, v);
         let hit = lit.scene.first_hit(&ray);
-        hit.map_or([0.0; 3], |hit| lit.radiance(&ray, &hit, hit.t / self.camera.fx, sample))
+        hit.map_or([0.0; 3], |hit| {
+            lit.radiance((&ray, &hit), hit.t / self.camera.fx, sample, pixel)
+        })
     }
 }
 

@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 #[derive(Args, Debug)]
 pub(crate) struct Synth {
     /// Specification: a file, see --print-spec, whose values left out take their defaults; or
-    /// turn-away or round-trip, which come with the program [default: all defaults]
+    /// glossy, lamps, turn-away or round-trip, which come with the program [default: all defaults]
     #[arg(value_name = "SPEC")]
     pub(crate) spec: Option<PathBuf>,
     /// Folder for the sequence

@@ -3,14 +3,18 @@
 use super::LitScene;
 use super::transport::{is_open, orthonormal_basis};
 use crate::rgb::{Rgb, mix, plus, scale};
+use crate::rng::lattice;
 use crate::scene::{Emitter, Gloss, Hit, LightRole, Ray, Vec3};
 
 /// Most reflections along a ray.
 const MAX_REFLECTIONS: usize = 3;
 /// Rays into a lobe over all samples of a pixel.
-const LOBE_RAYS: usize = 32;
+const LOBE_RAYS: usize = 64;
 /// Distance of ray origins from the surface [m].
 const OFFSET: f32 = 1e-3;
+
+/// Purpose number of the hash that turns lobes.
+const TURN: u32 = 91;
 
 /// Choices of one of the samples of a pixel, the same in every pixel.
 pub(crate) struct Sample {
@@ -47,6 +51,16 @@ fn radical_inverse(mut number: usize, base: usize) -> f64 {
     value
 }
 
+/// Choices along one ray of a pixel.
+#[derive(Clone, Copy)]
+struct Choices<'a> {
+    shift: f32,
+    lobe: &'a [[f32; 2]],
+    /// Column and row: every pixel turns the lobe by an angle of its own, or edges in reflections
+    /// would be seen as often as there are rays.
+    pixel: [usize; 2],
+}
+
 /// Where a ray meets a glossy surface.
 struct Polished {
     point: Vec3,
@@ -63,10 +77,17 @@ struct Polished {
 impl LitScene {
     /// Radiance towards the origin of a ray at its hit, `(1 - F) L + F ∫ p(ω) L(ω) dω`: matt light,
     /// and light from about the mirror direction, distributed normally, with Schlick's `F`.
-    /// `footprint` is the width of a pixel there [m].
+    /// `footprint` is the width of a pixel there [m], `pixel` its column and row.
     #[inline]
-    pub(crate) fn radiance(&self, ray: &Ray, hit: &Hit, footprint: f32, sample: &Sample) -> Rgb {
-        self.radiance_at(ray, hit, footprint, (sample.shift, &sample.lobe), MAX_REFLECTIONS)
+    pub(crate) fn radiance(
+        &self,
+        (ray, hit): (&Ray, &Hit),
+        footprint: f32,
+        sample: &Sample,
+        pixel: [usize; 2],
+    ) -> Rgb {
+        let choices = Choices { shift: sample.shift, lobe: &sample.lobe, pixel };
+        self.radiance_at(ray, hit, footprint, choices, MAX_REFLECTIONS)
     }
 
     #[inline]
@@ -75,16 +96,16 @@ impl LitScene {
         ray: &Ray,
         hit: &Hit,
         footprint: f32,
-        (shift, lobe): (f32, &[[f32; 2]]),
+        choices: Choices<'_>,
         reflections: usize,
     ) -> Rgb {
-        let matt = self.matt_radiance(hit, footprint, shift);
+        let matt = self.matt_radiance(hit, footprint, choices.shift);
         let gloss = self.scene.surfaces[hit.surface].material.gloss;
         if gloss.reflectance == 0.0 || reflections == 0 {
             return matt;
         }
         let (share, place) = self.polished(ray, hit, footprint, gloss);
-        let reflected = self.reflected(&place, (shift, lobe), reflections - 1);
+        let reflected = self.reflected(&place, choices, reflections - 1);
         mix(matt, reflected, share)
     }
 
@@ -108,23 +129,19 @@ impl LitScene {
 
     /// Mean radiance over the lobe. Lamps are small and bright: their share of a lobe is computed,
     /// not met by chance.
-    fn reflected(
-        &self,
-        place: &Polished,
-        (shift, lobe): (f32, &[[f32; 2]]),
-        reflections: usize,
-    ) -> Rgb {
+    fn reflected(&self, place: &Polished, choices: Choices<'_>, reflections: usize) -> Rgb {
         let Gloss { spread, .. } = place.gloss;
         if spread == 0.0 {
-            return self.along(place, place.mirrored, (shift, lobe), reflections);
+            return self.along(place, place.mirrored, choices, reflections);
         }
-        let (x, y) = orthonormal_basis(place.mirrored);
+        let (x, y) = turned_basis(place.mirrored, choices.pixel);
+        let one = Choices { lobe: &choices.lobe[..1], ..choices };
         let mut sum = [0.0; 3];
-        for [a, b] in lobe {
+        for [a, b] in choices.lobe {
             let direction = place.mirrored + x * (spread * a) + y * (spread * b);
-            sum = plus(sum, self.along(place, direction, (shift, &lobe[..1]), reflections));
+            sum = plus(sum, self.along(place, direction, one, reflections));
         }
-        plus(scale(sum, 1.0 / lobe.len() as f32), self.lamps_in_lobe(place))
+        plus(scale(sum, 1.0 / choices.lobe.len() as f32), self.lamps_in_lobe(place))
     }
 
     /// Radiance that arrives along a direction; of lamps only where the image is clear.
@@ -132,7 +149,7 @@ impl LitScene {
         &self,
         place: &Polished,
         direction: Vec3,
-        choices: (f32, &[[f32; 2]]),
+        choices: Choices<'_>,
         reflections: usize,
     ) -> Rgb {
         // Parts of a lobe below the surface are folded up.
@@ -161,6 +178,14 @@ impl LitScene {
         }
         sum
     }
+}
+
+/// Two unit vectors orthogonal to a unit vector, turned by an angle that the pixel chooses.
+fn turned_basis(axis: Vec3, [column, row]: [usize; 2]) -> (Vec3, Vec3) {
+    let (x, y) = orthonormal_basis(axis);
+    let angle = std::f32::consts::TAU * lattice(column as i32, row as i32, TURN);
+    let (sine, cosine) = angle.sin_cos();
+    (x * cosine + y * sine, y * cosine - x * sine)
 }
 
 /// Share of a lobe that a ball takes, `min(1, ρ²/2s² exp(-δ²/2s²))`, `s² = σ² + ρ²/4`: the density
@@ -241,12 +266,12 @@ mod tests {
             let ray = Ray { origin: point + away, direction: -away, from: 0.0, to: 2.0 };
             let hit = lit.scene.first_hit(&ray).expect("the mirror");
             assert!(is_mirror(&lit.scene.surfaces[hit.surface]));
-            let seen = lit.radiance(&ray, &hit, 1e-3, &sample);
+            let seen = lit.radiance((&ray, &hit), 1e-3, &sample, [3, 5]);
             let direction = normal - side * 0.4;
             let origin = point + normal * OFFSET;
             let ray = Ray { origin, direction, from: 0.0, to: f32::INFINITY };
             let hit = lit.scene.first_hit(&ray).expect("the room");
-            let there = lit.radiance(&ray, &hit, 1e-3, &sample);
+            let there = lit.radiance((&ray, &hit), 1e-3, &sample, [3, 5]);
             for channel in 0..3 {
                 let (seen, there) = (seen[channel], there[channel]);
                 assert!(seen > 0.85 * there && seen < 1.0 * there + 0.05, "{seen} {there}");
@@ -264,7 +289,7 @@ mod tests {
         let view = |towards: Vec3| {
             let ray = Ray { origin: point + towards, direction: -towards, from: 0.0, to: 2.0 };
             let hit = lit.scene.first_hit(&ray).filter(|hit| hit.surface == 0)?;
-            Some(lit.radiance(&ray, &hit, 1e-3, &sample)[1])
+            Some(lit.radiance((&ray, &hit), 1e-3, &sample, [3, 5])[1])
         };
         let views = (0..8).filter_map(|i| view((normal + side * (0.4 * i as f32)) * 0.1));
         let views: Vec<f32> = views.collect();
@@ -276,10 +301,10 @@ mod tests {
     fn samples_of_a_pixel_fill_the_lobe_together() {
         let all = (0..9).flat_map(|number| Sample::new(number, 9, 0.0).lobe);
         let all: Vec<[f32; 2]> = all.collect();
-        assert_eq!(all.len(), 36);
+        assert_eq!(all.len(), 72);
         for axis in 0..2 {
-            let mean = all.iter().map(|o| o[axis]).sum::<f32>() / 36.0;
-            let variance = all.iter().map(|o| o[axis] * o[axis]).sum::<f32>() / 36.0;
+            let mean = all.iter().map(|o| o[axis]).sum::<f32>() / 72.0;
+            let variance = all.iter().map(|o| o[axis] * o[axis]).sum::<f32>() / 72.0;
             assert!(mean.abs() < 0.15 && (variance - 1.0).abs() < 0.25, "{mean} {variance}");
         }
         assert_eq!(Sample::new(3, 64, 0.0).lobe.len(), 1);

@@ -61,7 +61,9 @@ specification! {
 }
 
 /// Specifications that come with the crate: name and text.
-pub const SHIPPED: [(&str, &str); 2] = [
+pub const SHIPPED: [(&str, &str); 4] = [
+    ("glossy", include_str!("../../specs/glossy.toml")),
+    ("lamps", include_str!("../../specs/lamps.toml")),
     ("turn-away", include_str!("../../specs/turn-away.toml")),
     ("round-trip", include_str!("../../specs/round-trip.toml")),
 ];
