@@ -1,7 +1,7 @@
 //! Pictures of a lit room: radiance over an exposure, radiance and depth at an instant.
 
+use crate::camera_path::CameraPath;
 use crate::light::{LitScene, Sample};
-use crate::motion::Motion;
 use crate::rgb::{Rgb, plus};
 use crate::scene::{Ray, Vec3};
 use i2slam_geometry::{Camera, Image, Mat3, Pose};
@@ -87,7 +87,7 @@ fn image_from_rows(camera: &Camera<f64>, rows: Vec<Vec<Rgb>>) -> Image<f32> {
 pub(crate) fn exposed(
     lit: &LitScene,
     camera: &Camera<f64>,
-    motion: &Motion,
+    path: &CameraPath,
     shutter: Shutter,
     samples: usize,
 ) -> Image<f32> {
@@ -97,7 +97,7 @@ pub(crate) fn exposed(
         for (sample, choice) in choices.iter().enumerate() {
             let u = (sample as f64 + 0.5) / samples as f64;
             let time = shutter.time(row, camera.height, u);
-            let view = View::new(camera, motion.world_from_camera(time));
+            let view = View::new(camera, path.world_from_camera(time));
             let [dx, dy] = r2_sample(sample);
             for (column, sum) in sums.iter_mut().enumerate() {
                 let (x, y) = (column as f32 + dx, row as f32 + dy);

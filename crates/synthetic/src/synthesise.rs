@@ -1,10 +1,10 @@
 //! Rendering of a sequence from a specification.
 
+use crate::camera_path::CameraPath;
 use crate::depth_noise::KinectNoise;
 use crate::error::SyntheticError;
 use crate::lens::behind_lens;
 use crate::light::{LitScene, compute_light};
-use crate::motion::Motion;
 use crate::render::{self, Shutter};
 use crate::scene::furnished_room;
 use crate::sensor::{AutoExposure, ShutterRule, raw_exposure_value};
@@ -38,11 +38,11 @@ struct FrameTruth {
     median_depth: f64,
 }
 
-/// Scene, camera and motion of a run.
+/// Scene, camera and path of a run.
 struct Renderer<'a> {
     spec: &'a Spec,
     camera: Camera<f64>,
-    motion: Motion,
+    path: CameraPath,
     lit: LitScene,
     folder: OutputFolder,
 }
@@ -63,8 +63,9 @@ pub fn synthesise(
     let go_on = |on: bool| if on { Ok(()) } else { Err(SyntheticError::Interrupted) };
     go_on(progress(Stage::Lighting))?;
     let lit = compute_light(furnished_room(spec), spec);
-    let motion = Motion::new(spec, lit.scene.desk);
-    let mut studio = Renderer { spec, camera: camera(spec), motion, lit, folder };
+    let camera = camera(spec);
+    let path = CameraPath::new(spec, lit.scene.desk, camera.fx);
+    let mut studio = Renderer { spec, camera, path, lit, folder };
     let mut automatic = AutoExposure::default();
     let mut frames = Vec::new();
     for index in 0..spec.camera.frames {
@@ -107,7 +108,7 @@ impl Renderer<'_> {
     ) -> Result<FrameTruth, SyntheticError> {
         let spec = self.spec;
         let stamp = index as f64 / spec.camera.frame_rate;
-        let pose = self.motion.world_from_camera(stamp);
+        let pose = self.path.world_from_camera(stamp);
         let radiance = render::sharp(&self.lit, &self.camera, pose, spec.camera.sharp_samples);
         let depth = render::depth(&self.lit, &self.camera, pose, spec.depth.maximum);
         let seen = behind_lens(&radiance, &spec.lens);
@@ -143,7 +144,7 @@ impl Renderer<'_> {
     ) -> Result<f64, SyntheticError> {
         let shutter = self.shutter(frame, rule);
         let samples = self.spec.camera.sub_frames;
-        let radiance = render::exposed(&self.lit, &self.camera, &self.motion, shutter, samples);
+        let radiance = render::exposed(&self.lit, &self.camera, &self.path, shutter, samples);
         let sensor = self.sensor(frame.stamp, frame.exposure_value);
         let seen = behind_lens(&radiance, &self.spec.lens);
         let picture = sensor.noisy_picture(&seen, &self.spec.noise, self.spec.seed, index);
@@ -160,7 +161,7 @@ impl Renderer<'_> {
 
     /// Poses at shutter open and close of the middle row.
     fn shutter_poses(&self, shutter: Shutter) -> [Pose<f64>; 2] {
-        [-0.5, 0.5].map(|u| self.motion.world_from_camera(shutter.stamp + u * shutter.open))
+        [-0.5, 0.5].map(|u| self.path.world_from_camera(shutter.stamp + u * shutter.open))
     }
 
     /// Median distance between a point's places at shutter open and close [px].

@@ -2,7 +2,7 @@
 
 mod support;
 
-use i2slam_dataset::{OpenOptions, Sequence};
+use i2slam_dataset::{OpenOptions, Sequence, read_trajectory};
 use i2slam_synthetic::Spec;
 use std::path::Path;
 use support::{Scratch, files, render};
@@ -74,4 +74,31 @@ fn a_polished_room_is_the_same_with_any_number_of_threads() {
     let dull = with_threads(2, &spec, "glossy-dull");
     let [depth, hdr] = ["depth/000000.png", "hdr/000000.exr"].map(Path::new);
     assert!(one[depth] == dull[depth] && one[hdr] != dull[hdr]);
+}
+
+#[test]
+fn stills_are_blurred_by_their_lengths_and_sharp_on_request() {
+    let (blurred, sharp) = (Scratch::new("stills"), Scratch::new("stills-sharp"));
+    let mut spec = small("stills");
+    spec.noise.read = 0.0;
+    spec.noise.shot = 0.0;
+    render(&spec, &blurred.0);
+    let lengths = table(&blurred.0, &["blur_px_median"]);
+    assert_eq!(lengths.len(), 27);
+    for (i, row) in lengths.iter().enumerate() {
+        // 5 to 20 px in pictures of 640 px; what is nearer or farther moves more or less.
+        let length = row[0] * 640.0 / 64.0;
+        let due = if i % 7 == 0 { 0.0..=1e-6 } else { 3.5..=25.0 };
+        assert!(due.contains(&length), "{i}: {length}");
+    }
+    (spec.exposure.shutter_minimum, spec.exposure.shutter_maximum) = (0.0, 0.0);
+    spec.output.hdr_every = 0;
+    render(&spec, &sharp.0);
+    assert!(table(&sharp.0, &["blur_px_median"]).iter().all(|row| row[0] == 0.0));
+    let poses = |folder: &Path| std::fs::read(folder.join("groundtruth.txt")).expect("poses");
+    assert!(poses(&blurred.0) == poses(&sharp.0), "the same photographs");
+    let trajectory = read_trajectory(&sharp.0.join("groundtruth.txt")).expect("poses");
+    let place = |i: usize| trajectory[i].world_from_camera.translation;
+    let nearest = (1..27).map(|i| (place(i) - place(i - 1)).norm()).fold(f64::INFINITY, f64::min);
+    assert!(nearest > 0.25, "neighbours are {nearest} m apart");
 }

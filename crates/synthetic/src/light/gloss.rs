@@ -1,10 +1,10 @@
 //! Light about the mirror direction, on top of what a surface shows in all directions alike.
 
 use super::LitScene;
-use super::transport::{is_open, orthonormal_basis};
+use super::transport::is_open;
 use crate::rgb::{Rgb, mix, plus, scale};
 use crate::rng::lattice;
-use crate::scene::{Emitter, Gloss, Hit, LightRole, Ray, Vec3};
+use crate::scene::{Emitter, Gloss, Hit, LightRole, Ray, Vec3, orthonormal_basis};
 
 /// Most reflections along a ray.
 const MAX_REFLECTIONS: usize = 3;

@@ -8,13 +8,15 @@ mod library;
 mod objects;
 mod room;
 mod shape;
+mod still_life;
 
 use crate::rgb::Rgb;
 use crate::texture::{Decoder, Texture};
 pub(crate) use bvh::Bvh;
 pub(crate) use gloss::Gloss;
 pub(crate) use room::furnished_room;
-pub(crate) use shape::{Hit, Ray, Shape};
+pub(crate) use shape::{Hit, Ray, Shape, orthonormal_basis};
+pub(crate) use still_life::MIDDLE as STILL_LIFE_MIDDLE;
 
 /// Points and directions in the world.
 pub(crate) type Vec3 = i2slam_geometry::Vec3<f32>;

@@ -2,6 +2,7 @@
 
 use super::builder::{Builder, LocalFrame};
 use super::library::MaterialLibrary;
+use super::still_life::still_life;
 use super::{Bvh, DeskPlace, Emitter, LightRole, Material, Scene, Vec3, furniture, objects};
 use crate::rgb::{Rgb, scale, srgb};
 use crate::rng::{between32, stream};
@@ -185,6 +186,12 @@ fn door_wall(b: &mut Builder, l: &MaterialLibrary, wall: &Wall) {
 }
 
 fn middle(b: &mut Builder, l: &MaterialLibrary, spec: &Spec) {
+    if spec.stills.around_object {
+        let place = LocalFrame::new(0.0, 0.0, 0.0);
+        still_life(b, l, &place);
+        hanging_lamp(b, l, spec, place);
+        return;
+    }
     let [x, y] = [(); 2].map(|()| between32(&mut b.random, -0.1, 0.1));
     let place = LocalFrame::new(x, y, 0.0);
     let turned = place.at([0.0; 3], between32(&mut b.random, -0.25, 0.25));
@@ -193,8 +200,13 @@ fn middle(b: &mut Builder, l: &MaterialLibrary, spec: &Spec) {
         b.panel(&turned, [[-1.15, 0.85, 0.006], [2.3, 0.0, 0.0], [0.0, -1.7, 0.0]], l.rug);
     }
     furniture::table(b, l, &turned);
+    hanging_lamp(b, l, spec, turned);
+}
+
+/// A lamp that hangs from the ceiling above a place.
+fn hanging_lamp(b: &mut Builder, l: &MaterialLibrary, spec: &Spec, place: LocalFrame) {
     let top = spec.room.size[2] as f32;
-    let hung = LocalFrame { origin: turned.point([0.0, 0.0, top - 0.62]), yaw: 0.0 };
+    let hung = LocalFrame { origin: place.point([0.0, 0.0, top - 0.62]), yaw: 0.0 };
     let black = l.paint.tinted([0.05; 3]);
     b.frustum(&hung, [0.16, 0.62], [0.008, 0.008], black);
     b.tube(&hung, [-0.02, 0.17], [0.24, 0.05], l.paint.tinted([0.6, 0.25, 0.15]));

@@ -58,12 +58,14 @@ specification! {
     output: OutputSpec;
     gloss: GlossSpec,
     lens: LensSpec,
+    stills: StillsSpec,
 }
 
 /// Specifications that come with the crate: name and text.
-pub const SHIPPED: [(&str, &str); 4] = [
+pub const SHIPPED: [(&str, &str); 5] = [
     ("glossy", include_str!("../../specs/glossy.toml")),
     ("lamps", include_str!("../../specs/lamps.toml")),
+    ("stills", include_str!("../../specs/stills.toml")),
     ("turn-away", include_str!("../../specs/turn-away.toml")),
     ("round-trip", include_str!("../../specs/round-trip.toml")),
 ];

@@ -89,6 +89,21 @@ section! {
 }
 
 section! {
+    /// Photographs around an object, in place of a film: a still life stands in the middle of the
+    /// room, and every photograph has a motion of its own. They are taken at the frame rate.
+    stills: StillsSpec {
+        /// Whether there are such; the section on motion then says nothing.
+        around_object: bool = false;
+        /// Least and largest distance from the object [m].
+        distance: [f64; 2] = [0.75, 1.1], 0.5..=1.5;
+        /// Least and largest length of the blur, in pictures 640 px wide [px].
+        blur: [f64; 2] = [5.0, 20.0], 0.0..=200.0;
+        /// Every n-th photograph is sharp, from the first one on; 0 is none.
+        sharp_every: usize = 7, 0.0..=100_000.0;
+    }
+}
+
+section! {
     /// The motion: a spline around the room or before the desk, hand tremor, rotation bursts, and a
     /// turn away and back.
     motion: MotionSpec {
