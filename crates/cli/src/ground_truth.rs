@@ -1,5 +1,6 @@
 //! Ground truth in a dataset: poses, sharp pictures, exposures, radiance.
 
+use crate::exposure_table::{TrueTone, read_exposure_table};
 use crate::failure::Failure;
 use i2slam::dataset::Sequence;
 use i2slam::geometry::{Image, StampedPose};
@@ -15,8 +16,8 @@ pub(crate) struct GroundTruth {
     folder: PathBuf,
     /// The sequence with its sharp pictures in place of those taken.
     sharp: Option<Sequence>,
-    /// (stream index, exposure in any unit).
-    pub(crate) exposure: Vec<(usize, f64)>,
+    /// True exposures, white balance and vignetting.
+    pub(crate) tones: Vec<TrueTone>,
     /// True poses.
     pub(crate) trajectory: Vec<StampedPose>,
     /// Files that cannot be used, with reasons.
@@ -36,15 +37,15 @@ impl GroundTruth {
             Vec::new()
         });
         let exposure = folder.join("exposure.csv");
-        let exposure = if exposure.exists() { read_exposure(&exposure) } else { Ok(Vec::new()) };
-        let exposure = exposure.unwrap_or_else(|reason| {
+        let tones = exposure.exists().then(|| read_exposure_table(&exposure));
+        let tones = tones.unwrap_or(Ok(Vec::new())).unwrap_or_else(|reason| {
             warnings.push(format!("exposure.csv ignored: {reason}"));
             Vec::new()
         });
         Self {
             folder: folder.to_owned(),
             sharp: sharp_sequence(folder, sequence),
-            exposure,
+            tones,
             trajectory,
             warnings,
         }
@@ -59,13 +60,18 @@ impl GroundTruth {
             .flatten()
     }
 
+    /// True exposures, in any unit, by stream index.
+    pub(crate) fn exposures(&self) -> Vec<(usize, f64)> {
+        self.tones.iter().map(|tone| (tone.frame, tone.exposure)).collect()
+    }
+
     /// Kinds of ground truth, in words.
     pub(crate) fn kinds(&self) -> Vec<&'static str> {
         [
             (!self.trajectory.is_empty(), "poses"),
             (self.sharp.is_some(), "sharp pictures"),
             (self.folder.join("hdr").is_dir(), "radiance"),
-            (!self.exposure.is_empty(), "exposures"),
+            (!self.tones.is_empty(), "exposures"),
         ]
         .into_iter()
         .filter_map(|(there, kind)| there.then_some(kind))
@@ -124,26 +130,6 @@ fn sharp_sequence(folder: &Path, sequence: &Sequence) -> Option<Sequence> {
         entry.colour = sharp.join(name);
     }
     Some(sharp_frames)
-}
-
-/// Reads column `dt` of a CSV file, by column `frame` or else by row.
-fn read_exposure(path: &Path) -> Result<Vec<(usize, f64)>, String> {
-    let text = i2slam_storage::read_text(path).map_err(|e| e.to_string())?;
-    let mut lines = text.lines();
-    let names: Vec<&str> = lines.next().unwrap_or_default().split(',').map(str::trim).collect();
-    let column = |name: &str| names.iter().position(|n| *n == name);
-    let exposure = column("dt").ok_or("it has no column `dt`")?;
-    let frame = column("frame");
-    let rows = lines.enumerate().filter(|(_, line)| !line.trim().is_empty());
-    rows.map(|(row, line)| {
-        let cells: Vec<&str> = line.split(',').map(str::trim).collect();
-        let number = |i: usize| cells.get(i).and_then(|cell| cell.parse::<f64>().ok());
-        let index = frame.map_or(Some(row as f64), number);
-        let usable = index.zip(number(exposure)).filter(|(_, dt)| dt.is_finite() && *dt > 0.0);
-        let wrong = || format!("line {} has no exposure above 0", row + 2);
-        usable.map(|(index, dt)| (index as usize, dt)).ok_or_else(wrong)
-    })
-    .collect()
 }
 
 /// Ratio of the largest to the smallest exposure [stops].

@@ -4,6 +4,7 @@ mod allocator;
 mod arguments;
 mod commands;
 mod console;
+mod exposure_table;
 mod failure;
 mod ground_truth;
 mod held_out_frames;

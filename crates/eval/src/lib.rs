@@ -14,5 +14,6 @@ pub mod sharpness;
 pub mod splats;
 pub mod statistics;
 pub mod trajectory;
+pub mod white_balance;
 
 pub use error::EvalError;

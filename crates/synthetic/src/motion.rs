@@ -144,7 +144,7 @@ impl Turn {
 }
 
 /// Rotation of a camera that looks along `heading` [rad, from x], `pitch` above the horizon, rolled.
-fn look_rotation(heading: f64, pitch: f64, roll: f64) -> Rotation<f64> {
+pub(crate) fn look_rotation(heading: f64, pitch: f64, roll: f64) -> Rotation<f64> {
     let (sine, cosine) = heading.sin_cos();
     let forward = Vec3::new(cosine * pitch.cos(), sine * pitch.cos(), pitch.sin());
     let right = Vec3::new(sine, -cosine, 0.0);

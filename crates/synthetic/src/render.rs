@@ -1,7 +1,7 @@
 //! Pictures of a lit room: radiance over an exposure, radiance and depth at an instant.
 
-use crate::light::LitScene;
-use crate::motion::Motion;
+use crate::camera_path::CameraPath;
+use crate::light::{LitScene, Sample};
 use crate::rgb::{Rgb, plus};
 use crate::scene::{Ray, Vec3};
 use i2slam_geometry::{Camera, Image, Mat3, Pose};
@@ -50,10 +50,20 @@ impl View {
     }
 
     #[inline]
-    fn radiance(&self, lit: &LitScene, u: f32, v: f32, shift: f32) -> Rgb {
-        let hit = lit.scene.first_hit(&self.ray(u, v));
-        hit.map_or([0.0; 3], |hit| lit.radiance(&hit, hit.t / self.camera.fx, shift))
+    fn radiance(&self, lit: &LitScene, u: f32, v: f32, sample: &Sample) -> Rgb {
+        let pixel = [u as usize, v as usize];
+        let ray = self.ray(u, v);
+        let hit = lit.scene.first_hit(&ray);
+        hit.map_or([0.0; 3], |hit| {
+            lit.radiance((&ray, &hit), hit.t / self.camera.fx, sample, pixel)
+        })
     }
+}
+
+/// The samples of a pixel.
+fn samples_of_a_pixel(samples: usize) -> Vec<Sample> {
+    let sample = |number| Sample::new(number, samples, r2_sample(number + 7)[1] - 0.5);
+    (0..samples).map(sample).collect()
 }
 
 /// Low-discrepancy positions in the unit square (R2 sequence, Roberts 2018).
@@ -77,21 +87,21 @@ fn image_from_rows(camera: &Camera<f64>, rows: Vec<Vec<Rgb>>) -> Image<f32> {
 pub(crate) fn exposed(
     lit: &LitScene,
     camera: &Camera<f64>,
-    motion: &Motion,
+    path: &CameraPath,
     shutter: Shutter,
     samples: usize,
 ) -> Image<f32> {
+    let choices = samples_of_a_pixel(samples);
     let rows = (0..camera.height).into_par_iter().map(|row| {
         let mut sums = vec![[0.0; 3]; camera.width];
-        for sample in 0..samples {
+        for (sample, choice) in choices.iter().enumerate() {
             let u = (sample as f64 + 0.5) / samples as f64;
             let time = shutter.time(row, camera.height, u);
-            let view = View::new(camera, motion.world_from_camera(time));
+            let view = View::new(camera, path.world_from_camera(time));
             let [dx, dy] = r2_sample(sample);
-            let shift = r2_sample(sample + 7)[1] - 0.5;
             for (column, sum) in sums.iter_mut().enumerate() {
                 let (x, y) = (column as f32 + dx, row as f32 + dy);
-                *sum = plus(*sum, view.radiance(lit, x, y, shift));
+                *sum = plus(*sum, view.radiance(lit, x, y, choice));
             }
         }
         sums.iter_mut().for_each(|sum| *sum = sum.map(|v| v / samples as f32));
@@ -109,15 +119,15 @@ pub(crate) fn sharp(
 ) -> Image<f32> {
     let view = View::new(camera, world_from_camera);
     let samples = side * side;
+    let choices = samples_of_a_pixel(samples);
     let rows = (0..camera.height).into_par_iter().map(|row| {
         let pixel = |column: usize| {
             let mut sum = [0.0; 3];
-            for sample in 0..samples {
+            for (sample, choice) in choices.iter().enumerate() {
                 let dx = ((sample % side) as f32 + 0.5) / side as f32;
                 let dy = ((sample / side) as f32 + 0.5) / side as f32;
-                let shift = r2_sample(sample + 7)[1] - 0.5;
                 let (x, y) = (column as f32 + dx, row as f32 + dy);
-                sum = plus(sum, view.radiance(lit, x, y, shift));
+                sum = plus(sum, view.radiance(lit, x, y, choice));
             }
             sum.map(|v| v / samples as f32)
         };

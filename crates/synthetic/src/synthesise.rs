@@ -1,14 +1,15 @@
 //! Rendering of a sequence from a specification.
 
+use crate::camera_path::CameraPath;
 use crate::depth_noise::KinectNoise;
 use crate::error::SyntheticError;
+use crate::lens::behind_lens;
 use crate::light::{LitScene, compute_light};
-use crate::motion::Motion;
 use crate::render::{self, Shutter};
 use crate::scene::furnished_room;
 use crate::sensor::{AutoExposure, ShutterRule, raw_exposure_value};
 use crate::sensor::{Sensor, white_balance_at};
-use crate::spec::Spec;
+use crate::spec::{LensSpec, Spec};
 use crate::write::{
     Summary, camera_json, output_folder, pose_numbers, readme, write_bytes, write_depth,
     write_list, write_picture, write_radiance,
@@ -37,11 +38,11 @@ struct FrameTruth {
     median_depth: f64,
 }
 
-/// Scene, camera and motion of a run.
+/// Scene, camera and path of a run.
 struct Renderer<'a> {
     spec: &'a Spec,
     camera: Camera<f64>,
-    motion: Motion,
+    path: CameraPath,
     lit: LitScene,
     folder: OutputFolder,
 }
@@ -58,12 +59,13 @@ pub fn synthesise(
     spec.validate()?;
     spec.validate_memory()?;
     let folder = output_folder(out, "i2slam synth", overwrite)?;
-    folder.write_text("spec.toml", &spec.to_toml())?;
+    folder.write_text("spec.toml", &spec.record())?;
     let go_on = |on: bool| if on { Ok(()) } else { Err(SyntheticError::Interrupted) };
     go_on(progress(Stage::Lighting))?;
     let lit = compute_light(furnished_room(spec), spec);
-    let motion = Motion::new(spec, lit.scene.desk);
-    let mut studio = Renderer { spec, camera: camera(spec), motion, lit, folder };
+    let camera = camera(spec);
+    let path = CameraPath::new(spec, lit.scene.desk, camera.fx);
+    let mut studio = Renderer { spec, camera, path, lit, folder };
     let mut automatic = AutoExposure::default();
     let mut frames = Vec::new();
     for index in 0..spec.camera.frames {
@@ -106,25 +108,26 @@ impl Renderer<'_> {
     ) -> Result<FrameTruth, SyntheticError> {
         let spec = self.spec;
         let stamp = index as f64 / spec.camera.frame_rate;
-        let pose = self.motion.world_from_camera(stamp);
+        let pose = self.path.world_from_camera(stamp);
         let radiance = render::sharp(&self.lit, &self.camera, pose, spec.camera.sharp_samples);
         let depth = render::depth(&self.lit, &self.camera, pose, spec.depth.maximum);
-        let raw = raw_exposure_value(&radiance, spec.exposure.response);
+        let seen = behind_lens(&radiance, &spec.lens);
+        let raw = raw_exposure_value(&seen, spec.exposure.response);
         let exposure_value = automatic.next(raw, &spec.exposure);
         let name = |folder: &str, kind: &str| format!("{folder}/{index:06}.{kind}");
         if spec.output.sharp {
-            let picture = self.sensor(stamp, exposure_value).picture(&radiance);
+            let picture = self.sensor(stamp, exposure_value).picture(&seen);
             write_bytes(&self.folder, &name("sharp", "png"), write_picture(&picture))?;
         }
         if spec.output.hdr_every > 0 && index.is_multiple_of(spec.output.hdr_every) {
             write_bytes(&self.folder, &name("hdr", "exr"), write_radiance(&radiance))?;
         }
         let kinect = || KinectNoise::default().apply(&depth, spec.seed, index);
-        let seen = spec.depth.kinect.then(kinect);
+        let measured = spec.depth.kinect.then(kinect);
         write_bytes(
             &self.folder,
             &name("depth", "png"),
-            write_depth(seen.as_ref().unwrap_or(&depth)),
+            write_depth(measured.as_ref().unwrap_or(&depth)),
         )?;
         let median_depth = median(depth.data.iter().map(|&z| f64::from(z)).filter(|&z| z > 0.0));
         let small = depth.resized_by_nearest(depth.width.min(80), depth.height.min(60));
@@ -141,9 +144,10 @@ impl Renderer<'_> {
     ) -> Result<f64, SyntheticError> {
         let shutter = self.shutter(frame, rule);
         let samples = self.spec.camera.sub_frames;
-        let radiance = render::exposed(&self.lit, &self.camera, &self.motion, shutter, samples);
+        let radiance = render::exposed(&self.lit, &self.camera, &self.path, shutter, samples);
         let sensor = self.sensor(frame.stamp, frame.exposure_value);
-        let picture = sensor.noisy_picture(&radiance, &self.spec.noise, self.spec.seed, index);
+        let seen = behind_lens(&radiance, &self.spec.lens);
+        let picture = sensor.noisy_picture(&seen, &self.spec.noise, self.spec.seed, index);
         write_bytes(&self.folder, &format!("rgb/{index:06}.png"), write_picture(&picture))?;
         Ok(self.blur_length(frame, shutter))
     }
@@ -157,7 +161,7 @@ impl Renderer<'_> {
 
     /// Poses at shutter open and close of the middle row.
     fn shutter_poses(&self, shutter: Shutter) -> [Pose<f64>; 2] {
-        [-0.5, 0.5].map(|u| self.motion.world_from_camera(shutter.stamp + u * shutter.open))
+        [-0.5, 0.5].map(|u| self.path.world_from_camera(shutter.stamp + u * shutter.open))
     }
 
     /// Median distance between a point's places at shutter open and close [px].
@@ -208,8 +212,9 @@ impl Renderer<'_> {
             "# poses at shutter open and shutter close, world_from_camera, OpenCV axes\n# timestamp \
              tx0 ty0 tz0 qx0 qy0 qz0 qw0 tx1 ty1 tz1 qx1 qy1 qz1 qw1\n",
         );
-        let mut table = String::from(
-            "frame,timestamp,ev,dt,shutter_fraction,shutter_seconds,blur_px_median,wb_r,wb_g,wb_b\n",
+        let (names, coefficients) = vignetting_cells(self.spec);
+        let mut table = format!(
+            "frame,timestamp,ev,dt,shutter_fraction,shutter_seconds,blur_px_median,wb_r,wb_g,wb_b{names}\n",
         );
         for (i, frame) in frames.iter().enumerate() {
             let (stamp, ev) = (frame.stamp, frame.exposure_value);
@@ -220,7 +225,7 @@ impl Renderer<'_> {
             ends.push_str(&format!("{stamp:.6} {pair}\n"));
             let [r, g, b] = white_balance_at(&self.spec.white_balance, stamp);
             table.push_str(&format!(
-                "{i},{stamp:.6},{ev:.6},{:.6},{:.6},{:.8},{:.3},{r:.6},{g:.6},{b:.6}\n",
+                "{i},{stamp:.6},{ev:.6},{:.6},{:.6},{:.8},{:.3},{r:.6},{g:.6},{b:.6}{coefficients}\n",
                 ev.exp2(),
                 rule.share(ev),
                 shutter.open,
@@ -254,6 +259,16 @@ impl Renderer<'_> {
             depth: [depths[0], median(depth()), depths[1]],
         }
     }
+}
+
+/// Names and values of the columns of vignetting, each with a comma before it; none of a lens
+/// without.
+fn vignetting_cells(spec: &Spec) -> (String, String) {
+    if spec.lens == LensSpec::default() {
+        return (String::new(), String::new());
+    }
+    let [a, b, c] = spec.lens.vignetting;
+    (",vignetting_a,vignetting_b,vignetting_c".into(), format!(",{a:.6},{b:.6},{c:.6}"))
 }
 
 fn median(values: impl Iterator<Item = f64>) -> f64 {

@@ -2,7 +2,7 @@
 
 use crate::error::SyntheticError;
 use crate::sensor::ShutterRule;
-use crate::spec::{NoiseSpec, Spec, WhiteBalanceSpec};
+use crate::spec::{GlossSpec, LensSpec, NoiseSpec, Spec, WhiteBalanceSpec};
 use i2slam_geometry::{Camera, Image, Pose};
 use i2slam_storage::{Claim, OutputFolder};
 use std::io::{self, Cursor};
@@ -196,7 +196,7 @@ pub(crate) fn readme(spec: &Spec, rule: &ShutterRule, s: &Summary) -> String {
     let ([rot0, rot1], [ev0, ev1]) = (s.rotation_rate, s.exposure_values);
     let ([sv0, sv1], [bl0, bl1, bl2], [d0, d1, d2]) = (s.shutter, s.blur, s.depth);
     let range = ev1 - ev0;
-    format!(
+    let text = format!(
         "# Synthetic RGB-D sequence with motion blur, exposure changes and a camera response\n\n\
          {frames} frames at {rate} fps (time stamps i/{rate} s = mid-exposure), {w}x{h}, horizontal field of view \
          {fov} degrees, pinhole, no distortion (camera.json). Made by `i2slam synth` from spec.toml: the same file \
@@ -231,5 +231,34 @@ pub(crate) fn readme(spec: &Spec, rule: &ShutterRule, s: &Summary) -> String {
          | shutter share | {sv0:.3} to {sv1:.3} |\n\
          | blur, median / 90 % / largest | {bl0:.2} / {bl1:.2} / {bl2:.2} px |\n\
          | median depth, smallest / middle / largest | {d0:.2} / {d1:.2} / {d2:.2} m |\n",
+    );
+    text + &gloss_lines(spec) + &lens_lines(spec)
+}
+
+/// The part of the README on the lens; empty without vignetting.
+fn lens_lines(spec: &Spec) -> String {
+    if spec.lens == LensSpec::default() {
+        return String::new();
+    }
+    let [a, b, c] = spec.lens.vignetting;
+    format!(
+        "\n## Lens\n\nrgb and sharp, not hdr, are multiplied by v(r) = 1 + {a} r^2 + {b} r^4 + {c} r^6 in linear \
+         light before noise and response; r: distance from the middle of the picture over half its diagonal. v(1) = \
+         {:.3}. exposure.csv repeats the coefficients in every line.\n",
+        1.0 + a + b + c
+    )
+}
+
+/// The part of the README on gloss; empty of a matt room.
+fn gloss_lines(spec: &Spec) -> String {
+    let GlossSpec { polish, spread, mirror } = spec.gloss;
+    if polish == 0.0 && !mirror {
+        return String::new();
+    }
+    let mirror = if mirror { "one, whose depth is that of its surface" } else { "none" };
+    format!(
+        "\n## Gloss\n\nRadiance (1 - F) L + F times the mean radiance from about the mirror direction, F = F0 + \
+         (1 - F0)(1 - cos)^5 with F0 = {polish} on floor, furniture and glazes, deviation {spread} degrees \
+         (floor: twice). Mirror: {mirror}.\n"
     )
 }

@@ -116,6 +116,53 @@ fn exposure_and_shutter_follow_the_rule_of_the_appendix() {
     }
 }
 
+/// Pictures are the radiance through lens, white balance, exposure and response; the table tells all.
+#[test]
+fn pictures_follow_from_radiance_and_the_table() {
+    let scratch = Scratch::new("lens");
+    let mut spec = small_spec();
+    spec.camera.frames = 3;
+    spec.lens.vignetting = [-0.3, -0.2, 0.1];
+    (spec.white_balance.drift, spec.white_balance.period) = (0.5, 1.0);
+    spec.exposure.response = Response::Srgb;
+    render(&spec, &scratch.0);
+    let table = std::fs::read_to_string(scratch.0.join("exposure.csv")).expect("a table");
+    assert!(
+        table.starts_with("frame,") && table.contains(",vignetting_a,vignetting_b,"),
+        "{table}"
+    );
+    let row: Vec<f64> =
+        table.lines().nth(3).expect("frame 2").split(',').flat_map(str::parse).collect();
+    assert_eq!(row[10..], [-0.3, -0.2, 0.1]);
+    assert!(row[7] > 1.05 && row[9] < 0.95, "{row:?}");
+    let open = |name: &str| std::fs::File::open(scratch.0.join(name)).expect("a file");
+    let mut decoder = png::Decoder::new(std::io::BufReader::new(open("sharp/000002.png")));
+    decoder.set_transformations(png::Transformations::IDENTITY);
+    let mut reader = decoder.read_info().expect("a picture");
+    let mut bytes = vec![0; 80 * 60 * 3];
+    reader.next_frame(&mut bytes).expect("pixels");
+    let radiance = exr::prelude::read_first_rgba_layer_from_file(
+        scratch.0.join("hdr/000002.exr"),
+        |size, _| vec![[0.0_f32; 3]; size.width() * size.height()],
+        |pixels, at, (r, g, b, _): (f32, f32, f32, f32)| pixels[at.y() * 80 + at.x()] = [r, g, b],
+    );
+    let radiance = radiance.expect("radiance").layer_data.channel_data.pixels;
+    let mut apart: [f64; 2] = [0.0; 2];
+    for (i, colour) in radiance.iter().enumerate() {
+        let (u, v) = ((i % 80) as f64 - 39.5, (i / 80) as f64 - 29.5);
+        let factor = i2slam_synthetic::vignetting_at(&spec.lens, u.hypot(v) / 50.0);
+        for channel in 0..3 {
+            let lit = f64::from(colour[channel]) * row[3] * row[7 + channel];
+            let due = [lit * factor, lit].map(|x| Response::Srgb.apply(x as f32, channel));
+            let found = f64::from(bytes[3 * i + channel]) / 255.0;
+            for (worst, due) in apart.iter_mut().zip(due) {
+                *worst = worst.max((f64::from(due) - found).abs());
+            }
+        }
+    }
+    assert!(apart[0] < 0.006 && apart[1] > 0.05, "with and without the lens: {apart:?}");
+}
+
 /// The tone-mapped median of linear luminance.
 fn median_grey(frame: &Frame) -> f64 {
     let response = Response::Reinhard;

@@ -13,7 +13,8 @@ use std::path::{Path, PathBuf};
 #[derive(Args, Debug)]
 pub(crate) struct Synth {
     /// Specification: a file, see --print-spec, whose values left out take their defaults; or
-    /// turn-away or round-trip, which come with the program [default: all defaults]
+    /// glossy, lamps, stills, turn-away or round-trip, which come with the program [default: all
+    /// defaults]
     #[arg(value_name = "SPEC")]
     pub(crate) spec: Option<PathBuf>,
     /// Folder for the sequence
@@ -25,6 +26,9 @@ pub(crate) struct Synth {
     /// Seed of room, motion and noise, instead of the specification's
     #[arg(long, value_name = "N")]
     pub(crate) seed: Option<u64>,
+    /// Take every picture in an instant: no blur, whatever the specification says of the shutter
+    #[arg(long)]
+    pub(crate) sharp: bool,
     /// Print the specification with an explanation of every value, and end
     #[arg(long)]
     pub(crate) print_spec: bool,
@@ -36,6 +40,9 @@ pub(crate) fn synth(arguments: &Synth) -> Result<(), Failure> {
     let mut spec = arguments.spec.as_deref().map(read).transpose()?.unwrap_or_default();
     if let Some(seed) = arguments.seed {
         spec.seed = seed;
+    }
+    if arguments.sharp {
+        (spec.exposure.shutter_minimum, spec.exposure.shutter_maximum) = (0.0, 0.0);
     }
     match &arguments.out {
         Some(out) if !arguments.print_spec => {

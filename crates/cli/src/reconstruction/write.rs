@@ -93,7 +93,7 @@ impl FinishedRun<'_> {
             reconstruction,
             metrics: &measurements.metrics,
             ground_truth: &measurements.truth_in_world,
-            true_exposure: &self.truth.exposure,
+            true_exposure: &self.truth.exposures(),
             comparisons: &rendered.comparisons,
             viewer: page.map(|page| page.len()),
         };
@@ -222,12 +222,12 @@ impl Measurements {
 
     fn measure_exposure(&mut self, outcome: &RunOutcome, truth: &GroundTruth) {
         let reconstruction = &outcome.reconstruction;
-        if !reconstruction.config.formation.tone || truth.exposure.is_empty() {
+        if !reconstruction.config.formation.tone || truth.tones.is_empty() {
             return;
         }
         let pairs = reconstruction.frames.iter().filter_map(|frame| {
-            let known = truth.exposure.iter().find(|(index, _)| *index == frame.index);
-            known.map(|&(_, exposure)| (f64::from(frame.tone.exposure()), exposure))
+            let known = truth.tones.iter().find(|tone| tone.frame == frame.index);
+            known.map(|tone| (f64::from(frame.tone.exposure()), tone.exposure))
         });
         let (estimate, due): (Vec<f64>, Vec<f64>) = pairs.unzip();
         if range_stops(&due) < MIN_EXPOSURE_RANGE {

@@ -25,8 +25,11 @@ impl Atlas {
     pub(super) fn new(scene: &Scene, texel: f32) -> Self {
         let mut first = 0;
         let patches = scene.surfaces.iter().map(|surface| {
-            let side = |length: f32| (length / texel).ceil().clamp(2.0, MAX_SIDE_TEXELS) as usize;
-            let [width, height] = surface.shape.extent().map(side);
+            let (extent, least) = (surface.shape.extent(), surface.shape.least_texels());
+            let side = |axis: usize| {
+                (extent[axis] / texel).ceil().clamp(least[axis], MAX_SIDE_TEXELS) as usize
+            };
+            let [width, height] = [0, 1].map(side);
             let patch = Patch { first, width, height };
             first += width * height;
             patch

@@ -1,12 +1,14 @@
 //! Light on surfaces, computed once: direct light with soft shadows, then reflections.
 
 mod atlas;
+mod gloss;
 mod transport;
 
 use crate::rgb::{Rgb, luminance, plus, scale, times};
 use crate::scene::{Hit, LightRole, Scene};
 use crate::spec::Spec;
 use atlas::Atlas;
+pub(crate) use gloss::Sample;
 use transport::{direct_light, reflected_light};
 
 /// Number of reflections.
@@ -27,9 +29,10 @@ pub(crate) struct LitScene {
 }
 
 impl LitScene {
-    /// Radiance leaving the surface at a hit (the same in all directions), for a footprint [m].
+    /// Radiance leaving the surface at a hit without gloss (the same in all directions), for a
+    /// footprint [m].
     #[inline]
-    pub(crate) fn radiance(&self, hit: &Hit, footprint: f32, shift: f32) -> Rgb {
+    fn matt_radiance(&self, hit: &Hit, footprint: f32, shift: f32) -> Rgb {
         let surface = &self.scene.surfaces[hit.surface];
         let colour = self.scene.colour(surface, hit.st, footprint, shift);
         match surface.material.role {

@@ -3,7 +3,7 @@
 use super::atlas::Atlas;
 use crate::rgb::{Rgb, plus, scale, times};
 use crate::rng::{between32, lattice, stream};
-use crate::scene::{Emitter, LightRole, Ray, Scene, Vec3};
+use crate::scene::{Emitter, LightRole, Ray, Scene, Vec3, orthonormal_basis};
 use i2slam_compute::Random;
 
 /// Shadow rays to each light source.
@@ -32,7 +32,7 @@ pub(super) fn direct_light(
     sum
 }
 
-fn is_open(scene: &Scene, origin: Vec3, towards: Vec3) -> bool {
+pub(super) fn is_open(scene: &Scene, origin: Vec3, towards: Vec3) -> bool {
     let ray = Ray { origin, direction: towards, from: 0.0, to: 0.9995 };
     let lets_through = |role| matches!(role, LightRole::Lamp | LightRole::Pane);
     scene.first_hit(&ray).is_none_or(|hit| lets_through(scene.surfaces[hit.surface].material.role))
@@ -95,15 +95,6 @@ fn sample_emitter(origin: Vec3, emitter: &Emitter, a: f32, b: f32) -> (Vec3, f32
             (axis + x * (r * cosine) + y * (r * sine), std::f32::consts::PI * radius * radius)
         }
     }
-}
-
-/// Two unit vectors orthogonal to a unit vector (Duff et al. 2017).
-fn orthonormal_basis(n: Vec3) -> (Vec3, Vec3) {
-    let sign = 1.0_f32.copysign(n.z);
-    let a = -1.0 / (sign + n.z);
-    let b = n.x * n.y * a;
-    let first = Vec3::new(1.0 + sign * n.x * n.x * a, sign * b, -sign * n.x);
-    (first, Vec3::new(b, sign + n.y * n.y * a, -n.y))
 }
 
 fn sunlight(scene: &Scene, origin: Vec3, normal: Vec3, sun: Rgb, random: &mut Random) -> Rgb {

@@ -1,6 +1,6 @@
 //! Construction of surfaces: blocks, quads, discs, balls, frustums.
 
-use super::{Emitter, LightRole, Material, Shape, Surface, Vec3};
+use super::{Emitter, Gloss, LightRole, Material, Shape, Surface, Vec3};
 use crate::rgb::{Rgb, scale};
 use crate::texture::Texture;
 use i2slam_compute::Random;
@@ -38,17 +38,23 @@ impl LocalFrame {
 impl Material {
     /// Tiled paint.
     pub(super) fn tiled(texture: usize, tile: f32, tint: Rgb) -> Self {
-        Self { texture, tint, tile: Some(tile), role: LightRole::Matt, radiance: 0.0 }
+        Self { tile: Some(tile), tint, ..Self::picture(texture) }
     }
 
     /// A picture over the whole surface.
     pub(super) fn picture(texture: usize) -> Self {
-        Self { texture, tint: [1.0; 3], tile: None, role: LightRole::Matt, radiance: 0.0 }
+        let (tint, role) = ([1.0; 3], LightRole::Matt);
+        Self { texture, tint, tile: None, role, radiance: 0.0, gloss: Gloss::MATT }
     }
 
     /// Replaces the tint.
     pub(super) fn tinted(self, tint: Rgb) -> Self {
         Self { tint, ..self }
+    }
+
+    /// Gives the material a lobe of reflected light.
+    pub(super) fn polished(self, gloss: Gloss) -> Self {
+        Self { gloss, ..self }
     }
 
     /// Makes the material emit light.

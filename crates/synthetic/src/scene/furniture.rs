@@ -3,7 +3,7 @@
 use super::builder::{Builder, LocalFrame};
 use super::library::{MaterialLibrary, small_colour};
 use super::objects;
-use super::{LightRole, Material};
+use super::{Gloss, LightRole, Material};
 use crate::rgb::{scale, srgb};
 use crate::rng::between32;
 
@@ -165,7 +165,9 @@ pub(super) fn table(b: &mut Builder, l: &MaterialLibrary, place: &LocalFrame) {
         chair(b, l, &place.at([x, y, 0.0], turn), l.woods[0]);
     }
     let top = place.at([0.0, 0.0, tall], 0.0);
-    b.panel(&top, [[-0.55, 0.16, 0.003], [1.1, 0.0, 0.0], [0.0, -0.32, 0.0]], l.cloths[0]);
+    if wood.gloss == Gloss::MATT {
+        b.panel(&top, [[-0.55, 0.16, 0.003], [1.1, 0.0, 0.0], [0.0, -0.32, 0.0]], l.cloths[0]);
+    }
     objects::fruit(b, l, &top.at([0.05, 0.0, 0.003], 0.0));
     objects::mug(b, l, &top.at([-0.35, 0.22, 0.0], 2.0));
     objects::mug(b, l, &top.at([0.42, -0.2, 0.0], 0.4));

@@ -1,9 +1,10 @@
 //! The materials of one room, chosen by its seed.
 
-use super::Material;
 use super::builder::Builder;
+use super::{Gloss, Material};
 use crate::rgb::{Rgb, scale, srgb};
 use crate::rng::stream;
+use crate::spec::GlossSpec;
 use crate::texture;
 use crate::texture::Texture;
 use i2slam_compute::Random;
@@ -35,6 +36,8 @@ pub(super) struct MaterialLibrary {
     pub(super) spines: Vec<Material>,
     pub(super) screen: Material,
     pub(super) outside: Material,
+    /// A mirror, where one hangs.
+    pub(super) mirror: Option<Material>,
 }
 
 fn one_of(random: &mut Random, codes: &[u32]) -> Rgb {
@@ -107,7 +110,20 @@ impl MaterialLibrary {
             spines: (0..8).map(|_| Material::picture(keep(texture::spine(next())))).collect(),
             screen: Material::picture(keep(texture::screen(next()))),
             outside: Material::picture(keep(texture::outside(next() as u32 >> 8))),
+            mirror: None,
         }
+    }
+
+    /// Polishes floor, furniture and glazes, and provides a mirror.
+    pub(super) fn polish(&mut self, spec: &GlossSpec) {
+        let spread = (spec.spread as f32).to_radians();
+        let gloss = Gloss { reflectance: spec.polish as f32, spread };
+        if gloss.reflectance > 0.0 {
+            self.floor.gloss = Gloss { spread: 2.0 * spread, ..gloss };
+            self.woods.iter_mut().chain(&mut self.glazes).for_each(|m| m.gloss = gloss);
+        }
+        let mirror = self.paint.tinted([0.02; 3]).polished(Gloss::MIRROR);
+        self.mirror = spec.mirror.then_some(mirror);
     }
 }
 

@@ -3,16 +3,20 @@
 mod builder;
 mod bvh;
 mod furniture;
+mod gloss;
 mod library;
 mod objects;
 mod room;
 mod shape;
+mod still_life;
 
 use crate::rgb::Rgb;
 use crate::texture::{Decoder, Texture};
 pub(crate) use bvh::Bvh;
+pub(crate) use gloss::Gloss;
 pub(crate) use room::furnished_room;
-pub(crate) use shape::{Hit, Ray, Shape};
+pub(crate) use shape::{Hit, Ray, Shape, orthonormal_basis};
+pub(crate) use still_life::MIDDLE as STILL_LIFE_MIDDLE;
 
 /// Points and directions in the world.
 pub(crate) type Vec3 = i2slam_geometry::Vec3<f32>;
@@ -43,6 +47,8 @@ pub(crate) struct Material {
     pub(crate) role: LightRole,
     /// Radiance of white, for emitters.
     pub(crate) radiance: f32,
+    /// Light reflected about the mirror direction, on top of the diffuse light.
+    pub(crate) gloss: Gloss,
 }
 
 /// A shape with its material.

@@ -2,6 +2,7 @@
 
 use super::builder::{Builder, LocalFrame};
 use super::library::MaterialLibrary;
+use super::still_life::still_life;
 use super::{Bvh, DeskPlace, Emitter, LightRole, Material, Scene, Vec3, furniture, objects};
 use crate::rgb::{Rgb, scale, srgb};
 use crate::rng::{between32, stream};
@@ -24,7 +25,8 @@ const LAMPLIGHT: [f32; 3] = [1.0, 0.76, 0.48];
 /// The room of a specification: the same for the same `seed` and `[room]`, `[light]`.
 pub(crate) fn furnished_room(spec: &Spec) -> Scene {
     let mut builder = Builder::new(stream(spec.seed, FURNITURE, 0));
-    let library = MaterialLibrary::new(&mut builder, spec.seed, spec.room.text_panels.max(1));
+    let mut library = MaterialLibrary::new(&mut builder, spec.seed, spec.room.text_panels.max(1));
+    library.polish(&spec.gloss);
     let [width, depth, height] = spec.room.size.map(|v| v as f32);
     let walls = walls(width, depth, height, builder.random.below(4));
     shell(&mut builder, &library, [width, depth, height]);
@@ -159,6 +161,10 @@ fn sofa_wall(b: &mut Builder, l: &MaterialLibrary, wall: &Wall, spec: &Spec) {
     b.frustum(&side, [0.5, 0.53], [0.24, 0.24], l.woods[1]);
     objects::globe(b, l, &side.at([0.05, 0.03, 0.53], 0.0));
     objects::mug(b, l, &side.at([-0.1, -0.08, 0.53], 1.0));
+    if let Some(mirror) = l.mirror {
+        wall.picture(b, [at[1], 1.45], [1.7, 0.85], mirror, Some(l.woods[0]));
+        return;
+    }
     let sizes = [[0.62, 0.46], [0.44, 0.56], [0.50, 0.40], [0.36, 0.36]];
     let mut x = at[1] - 1.05;
     for (i, size) in sizes.into_iter().enumerate() {
@@ -180,13 +186,27 @@ fn door_wall(b: &mut Builder, l: &MaterialLibrary, wall: &Wall) {
 }
 
 fn middle(b: &mut Builder, l: &MaterialLibrary, spec: &Spec) {
+    if spec.stills.around_object {
+        let place = LocalFrame::new(0.0, 0.0, 0.0);
+        still_life(b, l, &place);
+        hanging_lamp(b, l, spec, place);
+        return;
+    }
     let [x, y] = [(); 2].map(|()| between32(&mut b.random, -0.1, 0.1));
     let place = LocalFrame::new(x, y, 0.0);
     let turned = place.at([0.0; 3], between32(&mut b.random, -0.25, 0.25));
-    b.panel(&turned, [[-1.15, 0.85, 0.006], [2.3, 0.0, 0.0], [0.0, -1.7, 0.0]], l.rug);
+    let polished = spec.gloss.polish > 0.0;
+    if !polished {
+        b.panel(&turned, [[-1.15, 0.85, 0.006], [2.3, 0.0, 0.0], [0.0, -1.7, 0.0]], l.rug);
+    }
     furniture::table(b, l, &turned);
+    hanging_lamp(b, l, spec, turned);
+}
+
+/// A lamp that hangs from the ceiling above a place.
+fn hanging_lamp(b: &mut Builder, l: &MaterialLibrary, spec: &Spec, place: LocalFrame) {
     let top = spec.room.size[2] as f32;
-    let hung = LocalFrame { origin: turned.point([0.0, 0.0, top - 0.62]), yaw: 0.0 };
+    let hung = LocalFrame { origin: place.point([0.0, 0.0, top - 0.62]), yaw: 0.0 };
     let black = l.paint.tinted([0.05; 3]);
     b.frustum(&hung, [0.16, 0.62], [0.008, 0.008], black);
     b.tube(&hung, [-0.02, 0.17], [0.24, 0.05], l.paint.tinted([0.6, 0.25, 0.15]));

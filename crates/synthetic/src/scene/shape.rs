@@ -1,4 +1,4 @@
-//! The three primitive shapes and their ray intersections.
+//! The primitive shapes and their ray intersections.
 
 use super::Vec3;
 
@@ -32,6 +32,8 @@ pub(crate) enum Shape {
     Ball { centre: Vec3, radius: f32 },
     /// An upright frustum of a cone without its ends: `base` is the middle of its lower end.
     Frustum { base: Vec3, height: f32, radii: [f32; 2] },
+    /// A rod with round ends; `axis` has unit length.
+    Rod { foot: Vec3, axis: Vec3, length: f32, radius: f32 },
 }
 
 /// The product by component.
@@ -46,6 +48,12 @@ impl Shape {
         let normal = normal * normal.norm().recip();
         let inverse = [right, down].map(|e| e * e.norm_squared().recip());
         Self::Quad { origin, edges: [right, down], normal, inverse, round }
+    }
+
+    /// A rod between the middles of its round ends.
+    pub(crate) fn rod(from: Vec3, to: Vec3, radius: f32) -> Self {
+        let length = (to - from).norm();
+        Self::Rod { foot: from, axis: (to - from) * length.recip(), length, radius }
     }
 
     /// Corners of a box around the shape.
@@ -66,6 +74,10 @@ impl Shape {
                 let r = radii[0].max(radii[1]);
                 [base - Vec3::new(r, r, 0.0), base + Vec3::new(r, r, height)]
             }
+            Self::Rod { foot, axis, length, radius } => {
+                let (r, top) = (Vec3::new(radius, radius, radius), foot + axis * length);
+                [by_component(foot, top, f32::min) - r, by_component(foot, top, f32::max) + r]
+            }
         }
     }
 
@@ -77,7 +89,14 @@ impl Shape {
             Self::Frustum { height, radii, .. } => {
                 [std::f32::consts::PI * (radii[0] + radii[1]), height.hypot(radii[1] - radii[0])]
             }
+            Self::Rod { length, radius, .. } => [std::f32::consts::TAU * radius, length],
         }
+    }
+
+    /// Fewest texels of light along `s` and `t`.
+    pub(crate) fn least_texels(&self) -> [f32; 2] {
+        // Light changes around a rod however thin it is.
+        if matches!(self, Self::Rod { .. }) { [6.0, 2.0] } else { [2.0; 2] }
     }
 
     /// The point and the outward normal at `(s, t)`.
@@ -95,6 +114,12 @@ impl Shape {
                 let slope = (radii[0] - radii[1]) / height;
                 let normal = Vec3::new(cosine, sine, slope) * (1.0 + slope * slope).sqrt().recip();
                 (base + Vec3::new(radius * cosine, radius * sine, up * height), normal)
+            }
+            Self::Rod { foot, axis, length, radius } => {
+                let ((sine, cosine), (x, y)) =
+                    ((std::f32::consts::TAU * s).sin_cos(), orthonormal_basis(axis));
+                let normal = x * cosine + y * sine;
+                (foot + axis * (length * t) + normal * radius, normal)
             }
         }
     }
@@ -118,6 +143,9 @@ impl Shape {
             Self::Ball { centre, radius } => intersect_ball(ray, to, *centre, *radius),
             Self::Frustum { base, height, radii } => {
                 intersect_frustum(ray, to, *base, *height, *radii)
+            }
+            Self::Rod { foot, axis, length, radius } => {
+                intersect_rod(ray, to, (*foot, *axis, *length), *radius)
             }
         }
     }
@@ -165,6 +193,48 @@ fn intersect_frustum(
     })
 }
 
+/// A cylinder seen from outside, or the nearer of the balls at its ends.
+fn intersect_rod(
+    ray: &Ray,
+    to: f32,
+    (foot, axis, length): (Vec3, Vec3, f32),
+    radius: f32,
+) -> Option<(f32, [f32; 2])> {
+    let o = ray.origin - foot;
+    let (along, step) = (o.dot(axis), ray.direction.dot(axis));
+    let (across, d) = (o - axis * along, ray.direction - axis * step);
+    let a = d.norm_squared();
+    let place = |t: f32| {
+        let p = across + d * t;
+        let (x, y) = orthonormal_basis(axis);
+        let angle = p.dot(y).atan2(p.dot(x)) / std::f32::consts::TAU;
+        (t, [angle.rem_euclid(1.0), ((along + step * t) / length).clamp(0.0, 1.0)])
+    };
+    let middle = -across.dot(d) / a;
+    let inside = radius * radius - (across + d * middle).norm_squared();
+    // Also refuses the NaN of a ray along the axis, which meets an end.
+    if inside < 0.0 {
+        return None;
+    }
+    let t = middle - (inside / a).sqrt();
+    let height = along + step * t;
+    if height >= 0.0 && height <= length {
+        return (t > ray.from && t < to).then(|| place(t));
+    }
+    let ends = [foot, foot + axis * length].map(|end| intersect_ball(ray, to, end, radius));
+    let near = ends.into_iter().flatten().map(|(t, _)| t).min_by(f32::total_cmp)?;
+    Some(place(near))
+}
+
+/// Two unit vectors orthogonal to a unit vector (Duff et al. 2017).
+pub(crate) fn orthonormal_basis(n: Vec3) -> (Vec3, Vec3) {
+    let sign = 1.0_f32.copysign(n.z);
+    let a = -1.0 / (sign + n.z);
+    let b = n.x * n.y * a;
+    let first = Vec3::new(1.0 + sign * n.x * n.x * a, sign * b, -sign * n.x);
+    (first, Vec3::new(b, sign + n.y * n.y * a, -n.y))
+}
+
 /// The octahedral map of a unit vector to `[0, 1]²` (Meyer et al. 2010).
 fn octahedron_position(n: Vec3) -> [f32; 2] {
     let sum = n.x.abs() + n.y.abs() + n.z.abs();
@@ -203,6 +273,7 @@ mod tests {
             ),
             Shape::Ball { centre: Vec3::new(0.2, -0.4, 1.0), radius: 0.7 },
             Shape::Frustum { base: Vec3::new(0.5, 0.1, 0.3), height: 0.8, radii: [0.4, 0.2] },
+            Shape::rod(Vec3::new(0.2, 0.1, 1.0), Vec3::new(0.7, -0.3, 1.4), 0.05),
         ];
         for shape in shapes {
             for st in [[0.3, 0.4], [0.72, 0.11], [0.15, 0.93]] {
@@ -214,6 +285,23 @@ mod tests {
                 assert!((found[0] - st[0]).abs() + (found[1] - st[1]).abs() < 1e-4, "{shape:?}");
             }
         }
+    }
+
+    #[test]
+    fn a_rod_has_round_ends_and_lies_within_its_bounds() {
+        let (foot, top) = (Vec3::new(1.0, 0.0, 0.0), Vec3::new(1.0, 0.3, 0.4));
+        let rod = Shape::rod(foot, top, 0.1);
+        let axis = (top - foot) * 2.0;
+        let down = Ray { origin: top + axis, direction: -axis, from: 0.0, to: 9.0 };
+        let (t, st) = rod.intersect(&down, 9.0).expect("the end");
+        assert!((t - 0.9).abs() < 1e-5 && st[1] == 1.0, "{t} {st:?}");
+        let [low, high] = rod.bounds();
+        assert!((high - Vec3::new(1.1, 0.4, 0.5)).norm() < 1e-6);
+        assert!((low - Vec3::new(0.9, -0.1, -0.1)).norm() < 1e-6);
+        let (origin, direction) =
+            (top + axis * 0.11 - Vec3::new(1.0, 0.0, 0.0), Vec3::new(1.0, 0.0, 0.0));
+        let beside = Ray { origin, direction, from: 0.0, to: 9.0 };
+        assert!(rod.intersect(&beside, 9.0).is_none());
     }
 
     #[test]

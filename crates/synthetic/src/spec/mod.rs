@@ -10,10 +10,11 @@ use std::fmt::{Debug, Display};
 use std::ops::RangeInclusive;
 use std::path::Path;
 
-/// Defines the specification by its sections.
+/// Defines the specification by its sections. Those behind the semicolon came later: sequences
+/// that leave them at their defaults are written without them, the same bytes as before.
 macro_rules! specification {
-    ($($name:ident : $section:ident),+ $(,)?) => {
-        pub use sections::{ $($section),+ };
+    ($($name:ident : $section:ident),+ $(,)? ; $($later:ident : $later_section:ident),+ $(,)?) => {
+        pub use sections::{ $($section,)+ $($later_section),+ };
 
         /// A whole specification, `SPEC.toml`.
         #[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -25,15 +26,21 @@ macro_rules! specification {
                 #[doc = concat!("Section `[", stringify!($name), "]`.")]
                 pub $name: $section,
             )+
+            $(
+                #[doc = concat!("Section `[", stringify!($later), "]`.")]
+                pub $later: $later_section,
+            )+
         }
 
         impl Spec {
-            fn print_sections(&self, text: &mut String) {
+            fn print_sections(&self, text: &mut String, whole: bool) {
                 $( self.$name.print(text); )+
+                $( if whole || self.$later != Default::default() { self.$later.print(text); } )+
             }
 
             fn check_sections(&self) -> Result<(), SyntheticError> {
                 $( self.$name.check()?; )+
+                $( self.$later.check()?; )+
                 Ok(())
             }
         }
@@ -48,11 +55,17 @@ specification! {
     white_balance: WhiteBalanceSpec,
     noise: NoiseSpec,
     depth: DepthSpec,
-    output: OutputSpec,
+    output: OutputSpec;
+    gloss: GlossSpec,
+    lens: LensSpec,
+    stills: StillsSpec,
 }
 
 /// Specifications that come with the crate: name and text.
-pub const SHIPPED: [(&str, &str); 2] = [
+pub const SHIPPED: [(&str, &str); 5] = [
+    ("glossy", include_str!("../../specs/glossy.toml")),
+    ("lamps", include_str!("../../specs/lamps.toml")),
+    ("stills", include_str!("../../specs/stills.toml")),
     ("turn-away", include_str!("../../specs/turn-away.toml")),
     ("round-trip", include_str!("../../specs/round-trip.toml")),
 ];
@@ -83,12 +96,21 @@ impl Spec {
 
     /// Formats the specification as a commented file that reads back to the same values.
     pub fn to_toml(&self) -> String {
+        self.print(true)
+    }
+
+    /// As [`to_toml`](Self::to_toml), without those of the later sections that have their defaults.
+    pub(crate) fn record(&self) -> String {
+        self.print(false)
+    }
+
+    fn print(&self, whole: bool) -> String {
         let mut text = String::from(
             "# Specification of a synthetic sequence. Every line may be left out: these are the\n\
              # values then taken.\n\n# Seed of room, motion and noise.\n",
         );
         text.push_str(&format!("seed = {}\n", self.seed));
-        self.print_sections(&mut text);
+        self.print_sections(&mut text, whole);
         text
     }
 
@@ -96,6 +118,7 @@ impl Spec {
     /// rendered.
     pub fn validate(&self) -> Result<(), SyntheticError> {
         self.check_sections()?;
+        self.lens.check_light()?;
         let (low, high) = (self.exposure.shutter_minimum, self.exposure.shutter_maximum);
         if low > high {
             return Err(SyntheticError::OutOfRange {
@@ -215,6 +238,14 @@ mod tests {
         let text = spec.to_toml();
         assert_eq!(Spec::from_toml(&text, "printed").expect("readable"), spec);
         assert!(text.contains("# Width of the pictures [px].\n# Range: 16 to 8192.\nwidth = 320"));
+    }
+
+    #[test]
+    fn later_sections_are_recorded_where_they_say_something() {
+        let mut spec = Spec::default();
+        assert!(spec.to_toml().contains("[gloss]") && !spec.record().contains("[gloss]"));
+        spec.gloss.polish = 0.05;
+        assert_eq!(Spec::from_toml(&spec.record(), "recorded").expect("readable"), spec);
     }
 
     #[test]

@@ -65,6 +65,45 @@ section! {
 }
 
 section! {
+    /// Gloss: light that is reflected about the mirror direction, by Schlick's formula for the
+    /// reflectance. What it throws onto other surfaces is left out.
+    gloss: GlossSpec {
+        /// Reflectance of floor, furniture and glazes at normal incidence; 0.04 is varnish, 0 is
+        /// matt. Polished floors have no rug, polished tables no cloth.
+        polish: f64 = 0.0, 0.0..=1.0;
+        /// Standard deviation of reflected directions along each axis [degrees]; 0 is a clear image.
+        /// The floor's is twice as large.
+        spread: f64 = 1.0, 0.0..=20.0;
+        /// Whether a mirror hangs above the sofa in place of the paintings.
+        mirror: bool = false;
+    }
+}
+
+section! {
+    /// The lens.
+    lens: LensSpec {
+        /// Vignetting: a, b, c of the factor 1 + a r^2 + b r^4 + c r^6 on linear light, r the
+        /// distance from the middle of the picture over half its diagonal; 0.0 thrice is none.
+        vignetting: [f64; 3] = [0.0; 3], -8.0..=8.0;
+    }
+}
+
+section! {
+    /// Photographs around an object, in place of a film: a still life stands in the middle of the
+    /// room, and every photograph has a motion of its own. They are taken at the frame rate.
+    stills: StillsSpec {
+        /// Whether there are such; the section on motion then says nothing.
+        around_object: bool = false;
+        /// Least and largest distance from the object [m].
+        distance: [f64; 2] = [0.75, 1.1], 0.5..=1.5;
+        /// Least and largest length of the blur, in pictures 640 px wide [px].
+        blur: [f64; 2] = [5.0, 20.0], 0.0..=200.0;
+        /// Every n-th photograph is sharp, from the first one on; 0 is none.
+        sharp_every: usize = 7, 0.0..=100_000.0;
+    }
+}
+
+section! {
     /// The motion: a spline around the room or before the desk, hand tremor, rotation bursts, and a
     /// turn away and back.
     motion: MotionSpec {

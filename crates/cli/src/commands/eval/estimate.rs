@@ -17,13 +17,16 @@ pub(super) enum Estimate {
 }
 
 /// A row of `frames.csv`.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct RunFrame {
     pub(super) index: usize,
     pub(super) timestamp: f64,
     pub(super) keyframe: bool,
     /// Whether the map never saw it; false without that column.
     pub(super) held_out: bool,
+    /// Exposure and gains of red, green and blue, where the table has them.
+    pub(super) exposure: Option<f64>,
+    pub(super) white_balance: Option<[f64; 3]>,
 }
 
 impl Estimate {
@@ -147,15 +150,22 @@ fn run_frames(text: &str) -> Result<Vec<RunFrame>, String> {
     let (index, timestamp, keyframe) =
         (column("index")?, column("timestamp")?, column("keyframe")?);
     let held_out = names.iter().position(|n| *n == "held_out");
+    let optional = |name: &str| names.iter().position(|n| *n == name);
+    let exposure = optional("exposure");
+    let gains = ["r", "g", "b"].map(|c| optional(&format!("white_balance_{c}")));
     let rows = lines.enumerate().filter(|(_, line)| !line.is_empty());
     rows.map(|(row, line)| {
         let cells: Vec<&str> = line.split(',').collect();
+        let number = |i: Option<usize>| cells.get(i?)?.parse::<f64>().ok();
+        let balance = || Some([number(gains[0])?, number(gains[1])?, number(gains[2])?]);
         let frame = || {
             Some(RunFrame {
                 index: cells.get(index)?.parse().ok()?,
                 timestamp: cells.get(timestamp)?.parse().ok()?,
                 keyframe: *cells.get(keyframe)? != "0",
                 held_out: held_out.is_some_and(|i| cells.get(i).is_some_and(|c| *c != "0")),
+                exposure: number(exposure),
+                white_balance: balance(),
             })
         };
         frame().ok_or_else(|| format!("line {} is no frame", row + 2))
@@ -170,12 +180,20 @@ mod tests {
     #[test]
     fn frames_are_read_by_column_names() {
         let frames = run_frames("timestamp,index,x,keyframe\n1.5,7,0,1\n\n2.5,8,0,0\n");
-        let frame =
-            |index, timestamp, keyframe| RunFrame { index, timestamp, keyframe, held_out: false };
+        let frame = |index, timestamp, keyframe| RunFrame {
+            index,
+            timestamp,
+            keyframe,
+            ..RunFrame::default()
+        };
         assert_eq!(frames, Ok(vec![frame(7, 1.5, true), frame(8, 2.5, false)]));
         let held = run_frames("index,timestamp,keyframe,held_out\n7,1.5,0,1\n8,2,1,0\n");
         let held = held.map(|frames| frames.iter().map(|f| f.held_out).collect());
         assert_eq!(held, Ok(vec![true, false]));
+        let table = "index,timestamp,keyframe,white_balance_b,white_balance_g,white_balance_r,\
+                     exposure\n7,1.5,1,0.8,1,1.2,0.5\n";
+        let tone = run_frames(table).expect("a frame")[0];
+        assert_eq!((tone.exposure, tone.white_balance), (Some(0.5), Some([1.2, 1.0, 0.8])));
         assert!(run_frames("index\n1\n").unwrap_err().contains("timestamp"));
         let bad = run_frames("index,timestamp,keyframe\n1,x,0\n");
         assert!(bad.unwrap_err().contains("line 2"));

@@ -22,6 +22,8 @@ pub(super) struct Evaluation {
     /// Mean pose corrections; `None` without pose optimisation.
     pub(super) corrections: Option<Vec<MetricValue>>,
     pub(super) radiance: Vec<MetricValue>,
+    /// Exposure and white balance.
+    pub(super) tones: Vec<MetricValue>,
     /// Whether renders were compared with the recorded, blurred pictures.
     pub(super) is_against_recorded: bool,
     /// The true trajectory.
@@ -50,6 +52,7 @@ impl Evaluation {
         }
         object.extend(self.corrections.iter().flatten().map(MetricValue::json));
         object.extend(self.radiance.iter().map(MetricValue::json));
+        object.extend(self.tones.iter().map(MetricValue::json));
         object.insert("against_pictures_taken".to_owned(), self.is_against_recorded.into());
         object.insert("true_trajectory".to_owned(), json!(self.true_trajectory));
         object.insert("true_pictures".to_owned(), json!(self.true_pictures));
@@ -90,6 +93,7 @@ impl Evaluation {
         rows.extend(self.pictures.iter().flat_map(PictureErrors::rows));
         rows.extend(self.corrections.iter().flatten().map(MetricValue::row));
         rows.extend(self.radiance.iter().map(MetricValue::row));
+        rows.extend(self.tones.iter().map(MetricValue::row));
         rows
     }
 

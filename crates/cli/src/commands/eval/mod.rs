@@ -7,6 +7,7 @@ mod metric_value;
 mod pictures;
 mod pose_optimization;
 mod reference;
+mod tones;
 mod trajectory;
 
 use crate::console::{print, print_status};
@@ -150,6 +151,7 @@ fn evaluate(arguments: &Eval, estimate: &Estimate) -> Result<Evaluation, Failure
             )),
         };
     };
+    evaluation.tones = tones::evaluate(estimate, reference)?;
     match evaluate_pictures(arguments, estimate, reference, &mut evaluation) {
         Err(Failure::Failed(reason))
             if evaluation.trajectory.is_some() || !evaluation.not_evaluated.is_empty() =>

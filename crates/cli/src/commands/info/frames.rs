@@ -231,6 +231,6 @@ impl SharpnessStats {
 }
 
 fn exposure_range(truth: &GroundTruth) -> Option<f64> {
-    let exposures: Vec<f64> = truth.exposure.iter().map(|(_, exposure)| *exposure).collect();
+    let exposures: Vec<f64> = truth.tones.iter().map(|tone| tone.exposure).collect();
     (!exposures.is_empty()).then(|| range_stops(&exposures))
 }
