@@ -67,6 +67,19 @@ pictures:
     cargo build --release -p i2slam-cli
     scripts/readme-pictures
 
+# What crates.io asks for, and packages that build by themselves
+packages:
+    scripts/check-packages
+
+# The archive of a release, tried in an empty root folder (needs `pip install cargo-zigbuild ziglang`)
+archive:
+    scripts/release-archive
+
+# The commands of docs/tutorials.md, on a short video (needs ffmpeg)
+tutorials:
+    cargo build --release -p i2slam-cli
+    scripts/check-tutorials
+
 # Licences, sources and advisories of dependencies (needs cargo-deny)
 deny:
     cargo deny check

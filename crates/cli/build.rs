@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 fn main() {
     let manifest = PathBuf::from(env::var("CARGO_MANIFEST_DIR").expect("set by cargo"));
-    let clip = manifest.join("../../assets/demo");
+    let clip = manifest.join("assets/demo");
     println!("cargo::rerun-if-changed={}", clip.display());
     let mut files = Vec::new();
     collect(&clip, &mut files);

@@ -37,3 +37,7 @@ pub use session::{
 };
 pub use viewer::{OptimisedPose, Viewer};
 pub use warning::Warning;
+
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

@@ -16,7 +16,7 @@ fn sequence_of(frames: usize) -> Sequence {
     let mut options = RunOptions::with_depth();
     options.open.frames = Some(0..frames);
     options.open.max_side = Some(160);
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets/demo");
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../cli/assets/demo");
     options.open_sequence(&folder).expect("the demo clip")
 }
 

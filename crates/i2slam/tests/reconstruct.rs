@@ -15,7 +15,7 @@ use std::sync::{Arc, Mutex};
 mod example;
 
 fn demo_clip() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets/demo")
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../cli/assets/demo")
 }
 
 /// Small pictures and few steps.

@@ -25,7 +25,7 @@ fn options() -> RunOptions {
 }
 
 fn sequence(options: &RunOptions) -> Sequence {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets/demo");
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../cli/assets/demo");
     options.open_sequence(&folder).expect("the demo clip")
 }
 

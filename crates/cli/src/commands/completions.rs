@@ -1,7 +1,7 @@
 //! `i2slam completions`: completions of this program for a shell.
 
 use super::Arguments;
-use crate::console::print;
+use crate::console::print_text;
 use crate::failure::Failure;
 use clap::{Args, CommandFactory};
 use clap_complete::Shell;
@@ -16,6 +16,6 @@ pub(crate) struct Completions {
 pub(crate) fn completions(arguments: &Completions) -> Result<(), Failure> {
     let mut script = Vec::new();
     clap_complete::generate(arguments.shell, &mut Arguments::command(), "i2slam", &mut script);
-    print(String::from_utf8_lossy(&script).trim_end());
+    print_text(String::from_utf8_lossy(&script).trim_end());
     Ok(())
 }

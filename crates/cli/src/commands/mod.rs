@@ -6,6 +6,7 @@ mod demo;
 mod eval;
 mod export;
 mod info;
+mod man;
 mod presets;
 mod render;
 mod run;
@@ -43,6 +44,8 @@ pub(crate) enum Command {
     Degrade(degrade::Degrade),
     /// Print the completions of this program for a shell
     Completions(completions::Completions),
+    /// Print the manual page of this program, or write those of all commands
+    Man(man::Man),
     /// Moved to the program i2slam-bench
     #[command(hide = true, disable_help_flag = true)]
     Bench {
@@ -65,6 +68,7 @@ pub(crate) fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Synth(arguments) => synth::synth(&arguments),
         Command::Degrade(arguments) => degrade::degrade(&arguments),
         Command::Completions(arguments) => completions::completions(&arguments),
+        Command::Man(arguments) => man::man(&arguments),
         Command::Bench { .. } => Err(Failure::Usage(
             "benchmarks are run by the program i2slam-bench: i2slam-bench SUITE --out DIR".into(),
         )),

@@ -1,6 +1,6 @@
 //! The other commands, on one small result.
 
-use crate::program::{Ran, Room, Scene, i2slam, program, run};
+use crate::program::{Ran, Room, Scene, TemporaryFolder, i2slam, program, run};
 use std::fs;
 use std::path::Path;
 
@@ -123,5 +123,39 @@ fn shells_have_completions() {
     for shell in ["bash", "zsh", "fish", "powershell", "elvish"] {
         let script = run(["completions", shell]).exits_with(0).out;
         assert!(script.contains("export") && script.contains("min-opacity"), "{shell}");
+        let is_of_lines = script.lines().count() > 100 && !script.contains("}\\n");
+        assert!(is_of_lines, "{shell}: a script of lines\n{script}");
     }
+}
+
+#[test]
+fn every_command_has_a_manual_page() {
+    let page = run(["man"]).exits_with(0).out;
+    assert!(
+        page.contains(".TH i2slam 1 \"\" \"i2slam ") && page.contains("i2slam\\-run(1)"),
+        "{page}"
+    );
+    let scratch = TemporaryFolder::new("man");
+    let (folder, foreign) = (scratch.join("man1"), scratch.join("man1/notes.1"));
+    fs::create_dir(&folder).expect("a folder");
+    fs::write(&foreign, "mine").expect("room");
+    for _ in ["new", "replaced"] {
+        i2slam!("man", "--out", folder).exits_with(0);
+    }
+    assert!(foreign.is_file());
+    let options = fs::read_to_string(folder.join("i2slam-export.1")).expect("a page");
+    assert!(options.contains(".TH i2slam-export 1"), "{options}");
+    assert!(options.contains("min\\-opacity"), "{options}");
+    let help = run(["--help"]).exits_with(0).out;
+    let commands = help.lines().skip_while(|line| *line != "Commands:").skip(1);
+    let names = commands.map_while(|line| line.split_whitespace().next());
+    let names: Vec<_> = names.filter(|name| *name != "help").collect();
+    assert!(names.contains(&"demo") && names.contains(&"info"), "{names:?}");
+    for name in names {
+        assert!(folder.join(format!("i2slam-{name}.1")).is_file(), "{name}");
+    }
+    assert!(!folder.join("i2slam-bench.1").exists());
+    fs::write(folder.join("i2slam-run.1"), "mine").expect("room");
+    i2slam!("man", "--out", folder).exits_with(2).stderr_contains("no manual page");
+    assert_eq!(fs::read_to_string(folder.join("i2slam-run.1")).expect("a file"), "mine");
 }

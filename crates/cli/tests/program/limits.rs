@@ -85,7 +85,7 @@ fn depth_full_of_spikes_leaves_the_path_to_the_pictures() {
     let frames = 16;
     let scratch = TemporaryFolder::new("spikes");
     let (clip, out) = (scratch.join("clip"), scratch.join("out"));
-    let demo = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets/demo");
+    let demo = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/demo");
     for part in ["", "rgb", "depth"] {
         fs::create_dir_all(clip.join(part)).expect("a folder");
         for file in fs::read_dir(demo.join(part)).expect("the clip").flatten() {

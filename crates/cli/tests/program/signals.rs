@@ -94,7 +94,7 @@ fn ctrl_c_while_frames_are_mapped_keeps_path_and_map() {
     let scratch = TemporaryFolder::new("interrupt-online");
     let (out, slow) = (scratch.join("out"), scratch.join("slow.toml"));
     fs::write(&slow, "[mapping]\nfirst_iterations = 100000\n").expect("room");
-    let clip = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets/demo");
+    let clip = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/demo");
     let paths = [&clip, Path::new("--out"), &out, Path::new("--config"), &slow];
     let mut running = Running::start(&mut program(["run".as_ref()].into_iter().chain(paths)));
     running.until("tracking and mapping");

@@ -209,7 +209,7 @@ fn reading_ahead_is_bounded_and_ends_with_the_stream() {
 
 #[test]
 fn the_demo_clip_opens_and_every_frame_loads() {
-    let path = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../assets/demo"));
+    let path = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../cli/assets/demo"));
     let sequence = Sequence::open(path, &OpenOptions::default()).expect("opens");
     assert_eq!((sequence.len(), sequence.warnings.len()), (66, 0), "{:?}", sequence.warnings);
     assert!(sequence.valid_mask.is_none());

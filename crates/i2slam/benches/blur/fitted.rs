@@ -22,7 +22,7 @@ pub(crate) struct Fitted {
 impl Fitted {
     /// The default preset on half of the demo clip.
     pub(crate) fn demo() -> Result<Self, Box<dyn Error>> {
-        let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../assets/demo"));
+        let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../cli/assets/demo"));
         let config = Config::default();
         let options =
             OpenOptions { minimum_gap: config.input.minimum_gap, ..OpenOptions::default() };

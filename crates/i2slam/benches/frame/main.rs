@@ -31,7 +31,7 @@ struct Clip {
 impl Clip {
     /// The first `count` frames of the clip inside the program, resized by `scale`.
     fn demo(count: usize, scale: f64) -> Result<Self, Box<dyn Error>> {
-        let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../assets/demo"));
+        let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../cli/assets/demo"));
         let sequence = Sequence::open(folder, &OpenOptions { scale, ..OpenOptions::default() })?;
         let frames = sequence.stream().take(count).collect::<Result<_, _>>()?;
         Ok(Self { frames, camera: sequence.camera, frame_rate: sequence.frame_rate })
