@@ -1,6 +1,7 @@
 //! What is exported: a reconstruction, cut to what was asked for, and its levelled world.
 
 use super::axes::Axes;
+use super::blended_colours::picture_splats;
 use super::error::ExportError;
 use super::level::{Up, level};
 use super::splat::{Display, Splat, splats};
@@ -115,14 +116,6 @@ impl Scene {
         Pose::new((turn * rotation).normalized(), turn.rotate(translation))
     }
 
-    /// How colours leave.
-    pub(crate) fn display(&self) -> Display {
-        match self.linear {
-            true => Display::Linear,
-            false => Display::Formed(self.reconstruction.typical_tone()),
-        }
-    }
-
     /// The Gaussians for viewers, in the world of a file.
     ///
     /// # Errors
@@ -141,7 +134,10 @@ impl Scene {
             }
         };
         let turn = self.rotation(axes);
-        Ok(splats(map, &self.display(), turn))
+        Ok(match self.linear {
+            true => splats(map, &Display::Linear, turn),
+            false => picture_splats(&self.reconstruction, map, turn),
+        })
     }
 }
 
