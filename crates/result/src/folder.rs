@@ -1,8 +1,8 @@
 //! A reconstruction saved to a result folder, the most important files first, and loaded from it.
 
 use crate::error::read_text;
+use crate::export::blended_colours::picture_splats;
 use crate::export::ply;
-use crate::export::splat::{Display, splats};
 use crate::pictures::DEPTH_UNITS_PER_METRE;
 use crate::{Metrics, ResultError, UnitOfLength, map, tables};
 use i2slam::dataset::read_trajectory;
@@ -62,7 +62,7 @@ pub fn save(folder: &OutputFolder, reconstruction: &Reconstruction) -> Vec<Resul
         folder.write("map.i2slam", |out| map::write_native(out, &r.map)),
         match &r.map {
             Map::Gaussians(map) => {
-                let splats = splats(map, &Display::Formed(r.typical_tone()), Rotation::identity());
+                let splats = picture_splats(r, map, Rotation::identity());
                 folder.write("map.ply", |out| ply::write(out, &splats, None))
             }
             Map::HashGrid(_) => Ok(()),

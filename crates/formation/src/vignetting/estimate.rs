@@ -174,7 +174,7 @@ impl Normal {
     fn regularized(&self) -> ([f64; 9], f64) {
         let ridge = RIDGE * (0..3).map(|k| self.hessian[k][k]).fold(0.0, f64::max);
         let with_ridge =
-            |i: usize| self.hessian[i / 3][i % 3] + if i % 4 == 0 { ridge } else { 0.0 };
+            |i: usize| self.hessian[i / 3][i % 3] + if i.is_multiple_of(4) { ridge } else { 0.0 };
         (std::array::from_fn(with_ridge), ridge)
     }
 

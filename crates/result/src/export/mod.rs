@@ -5,6 +5,7 @@
 //! (x right, y down, z forward), apart from formats that have an up of their own ([`Axes`]).
 
 mod axes;
+pub(crate) mod blended_colours;
 pub mod colmap;
 pub mod compressed_ply;
 mod error;

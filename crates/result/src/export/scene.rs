@@ -1,6 +1,7 @@
 //! What is exported: a reconstruction, cut to what was asked for, and its levelled world.
 
 use super::axes::Axes;
+use super::blended_colours::picture_splats;
 use super::error::ExportError;
 use super::level::{Up, level};
 use super::seen::views;
@@ -120,14 +121,6 @@ impl Scene {
         Pose::new((turn * rotation).normalized(), turn.rotate(translation))
     }
 
-    /// How colours leave.
-    pub(crate) fn display(&self) -> Display {
-        match self.linear {
-            true => Display::Linear,
-            false => Display::Formed(self.reconstruction.typical_tone()),
-        }
-    }
-
     /// The Gaussians for viewers, in the world of a file.
     ///
     /// # Errors
@@ -146,7 +139,10 @@ impl Scene {
             }
         };
         let turn = self.rotation(axes);
-        Ok(splats(map, &self.display(), turn))
+        Ok(match self.linear {
+            true => splats(map, &Display::Linear, turn),
+            false => picture_splats(&self.reconstruction, map, turn),
+        })
     }
 }
 

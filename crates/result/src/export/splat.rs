@@ -60,6 +60,26 @@ impl Splat {
         })
     }
 
+    /// The colour seen from a point, as viewers show it: not below 0.
+    pub(crate) fn colour_from(&self, origin: Vec3<f64>) -> [f32; 3] {
+        let Some(view) = &self.view else { return self.colour };
+        let ray = Vec3::from_array(self.mean).cast() - origin;
+        let terms = harmonics::basis(ray * ray.norm().recip());
+        std::array::from_fn(|c| {
+            let sum: f64 = terms.iter().zip(view).map(|(t, row)| t * f64::from(row[c])).sum();
+            (0.5 + sum as f32).max(0.0)
+        })
+    }
+
+    /// Adds to the colour as far as it stays within `[0, 1]`, from all directions alike.
+    pub(crate) fn shift(&mut self, by: [f32; 3]) {
+        let before = self.colour;
+        self.colour = std::array::from_fn(|c| (before[c] + by[c]).clamp(0.0, 1.0));
+        if let Some(view) = &mut self.view {
+            (0..3).for_each(|c| view[0][c] += (self.colour[c] - before[c]) / HARMONIC_ZERO);
+        }
+    }
+
     /// Opacity from 0 to 1.
     pub(crate) fn opacity(&self) -> f32 {
         1.0 / (1.0 + (-self.opacity_logit).exp())
