@@ -10,7 +10,7 @@ use i2slam_geometry::Pose;
 #[derive(Clone, Debug)]
 pub(crate) enum CameraPath {
     /// A film.
-    Film(Motion),
+    Film(Box<Motion>),
     /// Photographs around an object.
     Stills(Stills),
 }
@@ -21,7 +21,7 @@ impl CameraPath {
         if spec.stills.around_object {
             return Self::Stills(Stills::new(spec, focal_length));
         }
-        Self::Film(Motion::new(spec, desk))
+        Self::Film(Box::new(Motion::new(spec, desk)))
     }
 
     /// The pose `world_from_camera` at a time [s] from the first frame's stamp on.
