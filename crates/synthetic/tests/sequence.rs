@@ -1,6 +1,7 @@
 //! Rendered sequences: reproducible, readable, and true to their own poses and exposures.
 
 mod blender;
+mod shipped;
 mod support;
 
 use i2slam_dataset::{Frame, OpenOptions, Sequence, read_trajectory};

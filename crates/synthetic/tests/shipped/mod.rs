@@ -1,11 +1,9 @@
 //! The specifications that come with the program, at a small size.
 
-mod support;
-
+use crate::support::{Scratch, files, render};
 use i2slam_dataset::{OpenOptions, Sequence, read_trajectory};
 use i2slam_synthetic::Spec;
 use std::path::Path;
-use support::{Scratch, files, render};
 
 /// A shipped specification in small pictures and coarse light.
 fn small(name: &str) -> Spec {
