@@ -121,6 +121,7 @@ impl FrameEstimate {
 
 /// A radiance map.
 #[derive(Clone, Debug, PartialEq)]
+#[expect(clippy::large_enum_variant, reason = "a run has one map, most often of Gaussians")]
 pub enum Map {
     /// 3D Gaussians.
     Gaussians(GaussianMap<f32>),

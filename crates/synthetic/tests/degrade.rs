@@ -251,6 +251,7 @@ fn all_kinds_combine_and_pictures_may_be_smaller(source: &Path, folder: &Path) {
     let what = Degradation {
         seed: 5,
         scale: 0.5,
+        vignetting: Some(0.6),
         depth: DepthDegradation {
             delay: 0.02,
             noise: Some(KinectNoise::times(3.0)),

@@ -95,7 +95,7 @@ fn stills_are_blurred_by_their_lengths_and_sharp_on_request() {
     assert!(table(&sharp.0, &["blur_px_median"]).iter().all(|row| row[0] == 0.0));
     let poses = |folder: &Path| std::fs::read(folder.join("groundtruth.txt")).expect("poses");
     assert!(poses(&blurred.0) == poses(&sharp.0), "the same photographs");
-    let trajectory = read_trajectory(&sharp.0.join("groundtruth.txt")).expect("poses");
+    let trajectory = read_trajectory(sharp.0.join("groundtruth.txt")).expect("poses");
     let place = |i: usize| trajectory[i].world_from_camera.translation;
     let nearest = (1..27).map(|i| (place(i) - place(i - 1)).norm()).fold(f64::INFINITY, f64::min);
     assert!(nearest > 0.25, "neighbours are {nearest} m apart");

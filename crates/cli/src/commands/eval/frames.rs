@@ -334,6 +334,8 @@ mod tests {
             timestamp: place as f64,
             keyframe: keyframes.contains(&place),
             held_out: false,
+            exposure: None,
+            white_balance: None,
         };
         (0..16).map(frame).collect()
     }

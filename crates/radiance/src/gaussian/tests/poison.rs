@@ -15,7 +15,7 @@ type Outcome<T> = (Render<T>, MapGradient<T>, Tangent<f64>);
 
 fn fast(map: &GaussianMap<f32>, view: &View<f32>) -> Outcome<f32> {
     let mut rasterizer = Rasterizer::default();
-    let (mut render, mut gradient) = (Render::default(), MapGradient::new(&map));
+    let (mut render, mut gradient) = (Render::default(), MapGradient::new(map));
     let cotangent = single_cotangent(&cotangent(view.camera.width, view.camera.height, 3));
     map.render(&mut rasterizer, view, &mut render);
     let tangent = map.pull_back(&mut rasterizer, view, &cotangent, Some(&mut gradient));
@@ -24,7 +24,7 @@ fn fast(map: &GaussianMap<f32>, view: &View<f32>) -> Outcome<f32> {
 
 fn plain(map: &GaussianMap<f64>, view: &View<f64>) -> Outcome<f64> {
     let settings = RasterSettings::default();
-    let mut gradient = MapGradient::new(&map);
+    let mut gradient = MapGradient::new(map);
     let cotangent = cotangent(view.camera.width, view.camera.height, 3);
     let render = reference::render(map, view, &settings);
     let tangent = reference::pull_back(map, view, &settings, &cotangent, Some(&mut gradient));
@@ -134,7 +134,7 @@ fn assert_nothing(map: &GaussianMap<f64>, view: &View<f64>) {
     assert_eq!(fast.0, Render::new(width, height));
     assert_eq!(plain.0, Render::new(width, height));
     assert_eq!((fast.2, plain.2), (Tangent::zero(), Tangent::zero()));
-    assert!(fast.1 == MapGradient::new(&map) && plain.1 == MapGradient::new(&map));
+    assert!(fast.1 == MapGradient::new(map) && plain.1 == MapGradient::new(map));
 }
 
 #[test]
