@@ -8,12 +8,39 @@ use std::borrow::Cow;
 /// Places between middle and corner at which a specification is checked.
 const CHECKS: usize = 64;
 
+/// Share of light at a distance `r` from a centre over half the picture's diagonal,
+/// `v(r) = 1 + a r² + b r⁴ + c r⁶`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Falloff {
+    /// `a`, `b`, `c`.
+    pub(crate) coefficients: [f64; 3],
+}
+
+impl Falloff {
+    /// `v` at a squared distance.
+    pub(crate) fn at(&self, square: f64) -> f64 {
+        let [a, b, c] = self.coefficients;
+        1.0 + square * (a + square * (b + square * c))
+    }
+
+    /// `v` at a pixel, counted row by row, of a picture with that size and centre.
+    pub(crate) fn at_pixel(
+        &self,
+        (width, height): (usize, usize),
+        (cx, cy): (f64, f64),
+        pixel: usize,
+    ) -> f32 {
+        let (u, v) = Camera::<f64>::pixel_centre(pixel % width, pixel / width);
+        let half_diagonal = 0.5 * (width as f64).hypot(height as f64);
+        let radius = (u - cx).hypot(v - cy) / half_diagonal;
+        self.at(radius * radius) as f32
+    }
+}
+
 /// The factor of vignetting at a distance from the middle of the picture over half its diagonal,
 /// `v(r) = 1 + a r² + b r⁴ + c r⁶`.
 pub fn vignetting_at(spec: &LensSpec, r: f64) -> f64 {
-    let [a, b, c] = spec.vignetting;
-    let square = r * r;
-    1.0 + square * (a + square * (b + square * c))
+    Falloff { coefficients: spec.vignetting }.at(r * r)
 }
 
 /// Radiance as it falls on the sensor.
@@ -22,12 +49,11 @@ pub(crate) fn behind_lens<'a>(radiance: &'a Image<f32>, spec: &LensSpec) -> Cow<
         return Cow::Borrowed(radiance);
     }
     let mut out = radiance.clone();
-    let (width, height) = (out.width, out.height);
-    let half = 0.5 * (width as f64).hypot(height as f64);
+    let lens = Falloff { coefficients: spec.vignetting };
+    let size = (out.width, out.height);
+    let centre = (0.5 * size.0 as f64, 0.5 * size.1 as f64);
     for i in 0..out.pixels() {
-        let (u, v) = Camera::<f64>::pixel_centre(i % width, i / width);
-        let r = (u - 0.5 * width as f64).hypot(v - 0.5 * height as f64) / half;
-        let factor = vignetting_at(spec, r) as f32;
+        let factor = lens.at_pixel(size, centre, i);
         (0..3).for_each(|channel| out.plane_mut(channel)[i] *= factor);
     }
     Cow::Owned(out)

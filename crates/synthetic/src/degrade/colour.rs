@@ -1,7 +1,7 @@
 //! Vignetting, exposure, noise, one colour and a covered lens on a picture.
 
 use super::Degradation;
-use super::vignetting::Falloff;
+use super::vignetting::falloff;
 use crate::rng::{gaussian, stream};
 use crate::sensor::with_noise;
 use i2slam_geometry::{Camera, Image};
@@ -26,7 +26,8 @@ impl Degradation {
         }
         let covered = if self.covers(frame) { COVERED_STOPS } else { 0.0 };
         let gain = (self.stops(frame) + covered).exp2() as f32;
-        let lens = Falloff::of(self);
+        let lens = falloff(self);
+        let (size, centre) = ((camera.width, camera.height), (camera.cx, camera.cy));
         if gain == 1.0 && self.sensor_noise.is_none() && lens.is_none() {
             return out;
         }
@@ -38,7 +39,7 @@ impl Degradation {
             for (pixel, value) in out.plane_mut(channel).iter_mut().enumerate() {
                 let mut exposed = linear_value(&linear, *value) * gain;
                 if let Some(lens) = &lens {
-                    exposed *= lens.at_pixel(camera, pixel);
+                    exposed *= lens.at_pixel(size, centre, pixel);
                 }
                 if let Some(noise) = &self.sensor_noise {
                     exposed = with_noise(exposed, noise, gaussian(&mut random));

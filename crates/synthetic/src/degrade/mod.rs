@@ -25,7 +25,6 @@ use rayon::prelude::*;
 use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
-use vignetting::Falloff;
 
 /// Frames processed at once; bounds memory.
 const BATCH: usize = 16;
@@ -275,8 +274,8 @@ impl<'a> Degrader<'a> {
         write_list(folder, "depth", "depth images, 5000 = 1 m", depth)?;
         let camera = camera_json(&sequence.camera, DEPTH_SCALE, sequence.frame_rate);
         folder.write_text("camera.json", &camera)?;
-        if let Some(lens) = Falloff::of(what) {
-            folder.write_text("vignetting.json", &lens.json())?;
+        if let Some(lens) = vignetting::falloff(what) {
+            folder.write_text("vignetting.json", &vignetting::json(&lens))?;
         }
         ground_truth::copy_ground_truth(self.dataset, folder, sequence, order, what)
     }

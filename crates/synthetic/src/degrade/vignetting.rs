@@ -1,49 +1,24 @@
 //! Vignetting that a lens adds to a sequence.
 
 use super::Degradation;
-use i2slam_geometry::Camera;
+use crate::lens::Falloff;
 
-/// `v(r) = 1 + a r² + b r⁴ + c r⁶`, the share of light at a distance `r` from the principal point over
-/// half the picture's diagonal.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Falloff {
-    coefficients: [f64; 3],
+/// Vignetting of a degradation: half of the loss grows with r², half with r⁴.
+pub(super) fn falloff(what: &Degradation) -> Option<Falloff> {
+    let half_loss = 0.5 * (1.0 - what.vignetting?);
+    Some(Falloff { coefficients: [-half_loss, -half_loss, 0.0] })
 }
 
-impl Falloff {
-    /// That of a degradation: half of the loss grows with r², half with r⁴.
-    pub(super) fn of(what: &Degradation) -> Option<Self> {
-        let half_loss = 0.5 * (1.0 - what.vignetting?);
-        Some(Self { coefficients: [-half_loss, -half_loss, 0.0] })
-    }
-
-    fn at(&self, squared_radius: f64) -> f64 {
-        let [a, b, c] = self.coefficients;
-        1.0 + squared_radius * (a + squared_radius * (b + squared_radius * c))
-    }
-
-    /// Share of light at a pixel, counted row by row.
-    pub(super) fn at_pixel(&self, camera: &Camera<f64>, pixel: usize) -> f32 {
-        let (u, v) = Camera::<f64>::pixel_centre(pixel % camera.width, pixel / camera.width);
-        let half_diagonal = 0.5 * (camera.width as f64).hypot(camera.height as f64);
-        let radius = (u - camera.cx).hypot(v - camera.cy) / half_diagonal;
-        self.at(radius * radius) as f32
-    }
-
-    /// `vignetting.json`: the truth.
-    pub(super) fn json(&self) -> String {
-        let [a, b, c] = self.coefficients.map(|v| v + 0.0);
-        format!(
-            "{{\n  \"a\": {a},\n  \"b\": {b},\n  \"c\": {c},\n  \"corner\": {}\n}}\n",
-            self.at(1.0)
-        )
-    }
+/// `vignetting.json`: the truth.
+pub(super) fn json(lens: &Falloff) -> String {
+    let [a, b, c] = lens.coefficients.map(|v| v + 0.0);
+    format!("{{\n  \"a\": {a},\n  \"b\": {b},\n  \"c\": {c},\n  \"corner\": {}\n}}\n", lens.at(1.0))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use i2slam_geometry::Image;
+    use i2slam_geometry::{Camera, Image};
 
     const CAMERA: Camera<f64> =
         Camera { width: 40, height: 30, fx: 30.0, fy: 30.0, cx: 20.0, cy: 15.0 };
@@ -62,7 +37,7 @@ mod tests {
         for (column, row) in [(0, 0), (39, 0), (0, 29), (39, 29)] {
             assert!((share(column, row) - expected).abs() < 2e-3, "{}", share(column, row));
         }
-        let json = Falloff::of(&what).expect("vignetting").json();
+        let json = json(&falloff(&what).expect("vignetting"));
         assert!(json.contains("\"corner\": 0.5") && json.contains("\"a\": -0.25"), "{json}");
         assert_eq!(Degradation::default().degrade_colour(&grey, &CAMERA, 0), grey);
     }
