@@ -2,8 +2,8 @@
 
 use super::Report;
 use super::headline::significant;
-use crate::VIEWER_FILE;
 use crate::html::data_address;
+use crate::{UnitOfLength, VIEWER_FILE};
 use i2slam::FrameEstimate;
 use i2slam::geometry::Image;
 use std::fmt::Write;
@@ -37,16 +37,17 @@ pub(super) fn gallery(report: &Report<'_>) -> String {
     for comparison in report.comparisons {
         let shown = Some(comparison.index) == first;
         // Writing to a string cannot fail.
-        write_pair(&mut out, comparison, estimate(comparison), shown).ok();
+        let unit = UnitOfLength::of(&report.reconstruction.config);
+        write_pair(&mut out, (comparison, estimate(comparison)), shown, unit).ok();
     }
     out
 }
 
 fn write_pair(
     out: &mut String,
-    comparison: &Comparison,
-    estimate: Option<&FrameEstimate>,
+    (comparison, estimate): (&Comparison, Option<&FrameEstimate>),
     shown: bool,
+    unit: UnitOfLength,
 ) -> std::fmt::Result {
     let Image { width, height, .. } = comparison.input;
     let index = comparison.index;
@@ -74,6 +75,14 @@ fn write_pair(
         let exposure = significant(f64::from(frame.tone.exposure()));
         let blur = frame.blur_length;
         write!(out, ": blur {blur:.1} px, exposure {exposure} times that of the first frame")?;
+    }
+    if let Some([near, far]) = depth_range(&comparison.depth) {
+        let [near, far] = [near, far].map(|d| significant(f64::from(d)));
+        let unit = match unit {
+            UnitOfLength::Metre => " m",
+            UnitOfLength::Unknown => "",
+        };
+        write!(out, "; depth from {near}{unit} (light) to {far}{unit} (dark)")?;
     }
     write!(out, "</figcaption></figure>")
 }
@@ -122,10 +131,7 @@ pub(super) fn brackets(comparisons: &[Comparison]) -> String {
 
 /// Colours of depth: near is warm, far is cool, dark where there is none.
 fn depth_colours(depth: &Image<f32>) -> Image<f32> {
-    let mut valid: Vec<f32> = depth.plane(0).iter().copied().filter(|&d| d > 0.0).collect();
-    valid.sort_by(f32::total_cmp);
-    let quantile = |q: f64| valid.get((q * valid.len() as f64) as usize).copied().unwrap_or(1.0);
-    let (near, far) = (quantile(0.02), quantile(0.98));
+    let [near, far] = depth_range(depth).unwrap_or([1.0; 2]);
     let mut colours = Image::new(depth.width, depth.height, 3);
     for (i, &d) in depth.plane(0).iter().enumerate() {
         let share = ((d - near) / (far - near).max(1e-6)).clamp(0.0, 1.0);
@@ -135,6 +141,14 @@ fn depth_colours(depth: &Image<f32>) -> Image<f32> {
         }
     }
     colours
+}
+
+/// Depth at both ends of the colours: the 2nd and 98th percentile of what there is.
+fn depth_range(depth: &Image<f32>) -> Option<[f32; 2]> {
+    let mut valid: Vec<f32> = depth.plane(0).iter().copied().filter(|&d| d > 0.0).collect();
+    valid.sort_by(f32::total_cmp);
+    let quantile = |q: f64| valid.get((q * valid.len() as f64) as usize).copied();
+    Some([quantile(0.02)?, quantile(0.98)?])
 }
 
 /// Colour map from 0 (near) to 1 (far): sand, coral, violet, night blue.
@@ -155,5 +169,13 @@ mod tests {
     fn depth_without_readings_is_dark() {
         let colours = depth_colours(&Image::new(4, 3, 1));
         assert!(colours.data.iter().all(|&v| v < 0.1));
+        assert_eq!(depth_range(&Image::new(4, 3, 1)), None);
+    }
+
+    #[test]
+    fn depth_ranges_over_what_there_is() {
+        let mut depth = Image::new(102, 1, 1);
+        depth.data.iter_mut().enumerate().for_each(|(i, d)| *d = i.saturating_sub(1) as f32);
+        assert_eq!(depth_range(&depth), Some([3.0, 99.0]));
     }
 }

@@ -214,7 +214,8 @@ fn gradients_of_tone_agree_with_differences() {
             evaluated(&x, cameras, depth, &mut d_field, &map).0
         };
         let analytic = at(&[0.0; 4])[0].tone.to_array().map(f64::from);
-        let numeric = central_differences(&[0.0; 4], 4e-3, |x| total(&at(x)));
+        // A larger step takes a pixel over the kink of the absolute difference.
+        let numeric = central_differences(&[0.0; 4], 1e-3, |x| total(&at(x)));
         let error = relative_error(&analytic, &numeric);
         assert!(error < 5e-3, "{cameras} {depth:?} {error}");
     }
