@@ -64,7 +64,7 @@ fn the_page_needs_nothing_else() {
         assert!(!page.contains(address), "{address}");
     }
     assert!(page.contains("<a href=\"viewer.html\">") && page.contains("4.89 MB"));
-    assert_eq!(page.matches("<figure class=\"plot\">").count(), 11);
+    assert_eq!(page.matches("<figure class=\"plot\">").count(), 12);
     assert_eq!(page.matches("<figure class=\"pair").count(), 4);
 }
 
