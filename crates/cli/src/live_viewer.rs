@@ -176,11 +176,13 @@ fn with_later_poses(run: &Reconstruction, poses: &[StampedPose]) -> Reconstructi
     let mut run = run.clone();
     let mapped = run.frames.last().map_or(f64::NEG_INFINITY, |frame| frame.timestamp);
     let still = run.virtual_frame(0, Pose::identity());
-    for pose in poses.iter().filter(|pose| pose.timestamp > mapped) {
+    let first = run.frames.last().map_or(0, |frame| frame.index + 1);
+    let later = poses.iter().filter(|pose| pose.timestamp > mapped).enumerate();
+    run.frames.extend(later.map(|(i, pose)| {
         let shutter = ShutterPoses::still(pose.world_from_camera);
-        let (index, timestamp) = (run.frames.len(), pose.timestamp);
-        run.frames.push(FrameEstimate { index, timestamp, shutter, ..still.clone() });
-    }
+        let (index, timestamp) = (first + i, pose.timestamp);
+        FrameEstimate { index, timestamp, shutter, ..still.clone() }
+    }));
     run
 }
 
@@ -265,6 +267,9 @@ fn update(shown: &Mutex<Shown>, after: u64) -> String {
         let run = run.map(|run| (run, shown.poses.clone()));
         (shown.title.clone(), shown.status.clone(), run, shown.version, shown.ended)
     };
+    // Beyond the last mapped frame there is little to see.
+    let latest = run.as_ref().and_then(|(run, _)| Some(run.frames.last()?.index));
+    let latest = serde_json::Value::from(latest);
     let run = run.map(|(run, poses)| with_later_poses(&run, &poses));
     let state = match run.map(|run| ViewerPage::of_run(&title, &run).update()) {
         Some(Ok(state)) => state,
@@ -276,7 +281,9 @@ fn update(shown: &Mutex<Shown>, after: u64) -> String {
     };
     lock(shown).taken = version;
     let status = serde_json::Value::from(status);
-    format!(r#"{{"version":{version},"status":{status},"ended":{ended},"state":{state}}}"#)
+    format!(
+        r#"{{"version":{version},"status":{status},"ended":{ended},"latest":{latest},"state":{state}}}"#
+    )
 }
 
 #[cfg(test)]

@@ -99,8 +99,9 @@ impl<'a> ViewerPage<'a> {
     }
 
     /// The page, whose map may be empty still, without pictures. It asks `update?after=VERSION` beside
-    /// it every second, and expects JSON: `version`, `status` (words for the user), `ended`, and
-    /// `state`, an [update](Self::update) if there is a version after that, else null.
+    /// it every second, and expects JSON: `version`, `status` (words for the user), `ended`, `latest`
+    /// (the last frame in the map, or null) and `state`, an [update](Self::update) if there is a version
+    /// after that, else null.
     ///
     /// # Errors
     /// A map that a page cannot show.

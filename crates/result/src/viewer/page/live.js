@@ -3,16 +3,16 @@ const PAUSE = 1000, run = document.createElement("span");
 run.id = "run";
 run.role = "status";
 $("top").insertBefore(run, $("actions"));
-let version = 0, silent = 0;
+let version = 0, silent = 0, followed = 0;
 
 async function ask() {
   let ended = false;
   try {
     const answer = await fetch("update?after=" + version, { cache: "no-store" });
-    const { status, ended: last, version: now, state: next } = await answer.json();
+    const { status, ended: last, version: now, latest, state: next } = await answer.json();
     [silent, ended, version] = [0, last, now];
     run.textContent = status;
-    if (next) adopt(next);
+    if (next) adopt(next, latest ?? Infinity);
   } catch {
     ended = ++silent > 5;
     run.textContent = ended ? "The program has ended; this is the last map it gave." : "Waiting for the program\u2026";
@@ -22,10 +22,11 @@ async function ask() {
   if (!ended) setTimeout(ask, PAUSE);
 }
 
-// Replaces scene and map. The view stays; at the last camera it goes on to the new last one.
-function adopt({ scene: next, map }) {
+// Replaces scene and map. The view stays; at the last camera that was mapped it goes on to the new one,
+// whose frame is `latest`.
+function adopt({ scene: next, map }, latest) {
   const atCamera = navigation.at !== null || navigation.glide !== null;
-  const follows = !frames.length || atCamera && state.frame === frames.length - 1;
+  const follows = !frames.length || atCamera && state.frame === followed;
   const shown = frames[state.frame]?.index;
   frames.splice(0, frames.length, ...next.frames);
   Object.assign(scene, next, { frames, camera: Object.assign(camera, next.camera) });
@@ -35,7 +36,8 @@ function adopt({ scene: next, map }) {
   loadMap(map);
   showFrames();
   state.playing = null;
-  if (follows) return stepTo(frames.length - 1);
+  followed = Math.max(0, frames.findLastIndex(frame => frame.index <= latest));
+  if (follows) return stepTo(followed);
   state.frame = Math.max(0, frames.findLastIndex(frame => frame.index <= shown));
   // Its pose may have been corrected.
   if (atCamera) stepTo(state.frame, 0);
