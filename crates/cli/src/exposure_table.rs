@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-/// What the camera did to the light of a frame.
+/// Tone of a frame: exposure, white balance and vignetting.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct TrueTone {
     /// Stream index.

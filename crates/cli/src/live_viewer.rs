@@ -29,7 +29,7 @@ pub(crate) struct LiveViewer {
     thread: Option<JoinHandle<()>>,
 }
 
-/// What pages show.
+/// State that pages show.
 struct Shown {
     title: String,
     status: String,
@@ -80,7 +80,7 @@ impl LiveViewer {
         }
     }
 
-    /// What the run does now, in words.
+    /// Sets the words for the work of now.
     pub(crate) fn set_status(&self, status: String) {
         self.shown().status = status;
     }
@@ -225,7 +225,7 @@ fn answer(request: Request, shown: &Mutex<Shown>) {
 
 const PLAIN: &str = "text/plain; charset=utf-8";
 
-/// Whether the browser asks for this machine by a name of loopback.
+/// True if the browser asks for this machine by a name of loopback.
 fn is_of_this_machine(request: &Request) -> bool {
     let host = request.headers().iter().find(|header| header.field.equiv("Host"));
     let name = host.map(|header| header.value.as_str());

@@ -72,7 +72,7 @@ pub struct GaussianMap<T = f32> {
     pub opacity_logits: Vec<T>,
     /// Colours before the activation.
     pub colours: Vec<[T; 3]>,
-    /// What is added to the colours of some, by the direction they are seen from.
+    /// Deviations of some colours by the direction from which they are seen.
     pub view_colours: ViewColours<T>,
 }
 

@@ -104,7 +104,7 @@ fn shortest_turn(axis: Vec3<f32>) -> Rotation<f32> {
     turn.unwrap_or(Rotation { w: 0.0, v: Vec3::new(1.0, 0.0, 0.0) })
 }
 
-/// What keyframes tell of the view dependence of each Gaussian.
+/// Statistics of all keyframes on the view dependence of each Gaussian.
 pub(super) struct ViewDependence(Vec<Sums>);
 
 impl ViewDependence {
