@@ -1,8 +1,8 @@
-//! `exposure.csv` of a dataset: true exposures, white balance and vignetting.
+//! `exposure.csv` of a dataset: true exposures and white balance.
 
 use std::path::Path;
 
-/// Tone of a frame: exposure, white balance and vignetting.
+/// True exposure and white balance of a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct TrueTone {
     /// Stream index.
@@ -11,12 +11,10 @@ pub(crate) struct TrueTone {
     pub(crate) exposure: f64,
     /// Gains of red, green and blue, where they are known.
     pub(crate) white_balance: Option<[f64; 3]>,
-    /// `a, b, c` of `1 + a r² + b r⁴ + c r⁶`, `r` = 1 in the corners, where they are known.
-    pub(crate) vignetting: Option<[f64; 3]>,
 }
 
 /// Reads a table by the names of its columns: `dt`, and where they are there `frame` (else rows are
-/// counted), `wb_r`, `wb_g`, `wb_b`, and `vignetting_a`, `vignetting_b`, `vignetting_c`.
+/// counted), `wb_r`, `wb_g` and `wb_b`.
 pub(crate) fn read_exposure_table(path: &Path) -> Result<Vec<TrueTone>, String> {
     tones(&i2slam_storage::read_text(path).map_err(|e| e.to_string())?)
 }
@@ -26,24 +24,19 @@ fn tones(text: &str) -> Result<Vec<TrueTone>, String> {
     let names: Vec<&str> = lines.next().unwrap_or_default().split(',').map(str::trim).collect();
     let column = |name: &str| names.iter().position(|n| *n == name);
     let exposure = column("dt").ok_or("it has no column `dt`")?;
-    let three = |names: [&str; 3]| {
-        let [a, b, c] = names.map(column);
-        Some([a?, b?, c?])
-    };
-    let gains = three(["wb_r", "wb_g", "wb_b"]);
-    let vignetting = three(["vignetting_a", "vignetting_b", "vignetting_c"]);
+    let [red, green, blue] = ["wb_r", "wb_g", "wb_b"].map(column);
     let rows = lines.enumerate().filter(|(_, line)| !line.trim().is_empty());
     let rows = rows.map(|(row, line)| {
         let cells: Vec<&str> = line.split(',').map(str::trim).collect();
         let number = |i: usize| cells.get(i).and_then(|cell| cell.parse::<f64>().ok());
-        let numbers = |[a, b, c]: [usize; 3]| Some([number(a)?, number(b)?, number(c)?]);
+        let gains = || Some([number(red?)?, number(green?)?, number(blue?)?]);
         let frame = column("frame").map_or(Some(row as f64), number).map(|frame| frame as usize);
         let positive = |value: &f64| value.is_finite() && *value > 0.0;
         let known = frame.zip(number(exposure).filter(positive));
         let (frame, exposure) =
             known.ok_or_else(|| format!("line {} has no exposure above 0", row + 2))?;
-        let white_balance = gains.and_then(numbers).filter(|gains| gains.iter().all(positive));
-        Ok(TrueTone { frame, exposure, white_balance, vignetting: vignetting.and_then(numbers) })
+        let white_balance = gains().filter(|gains| gains.iter().all(positive));
+        Ok(TrueTone { frame, exposure, white_balance })
     });
     rows.collect()
 }
@@ -54,19 +47,13 @@ mod tests {
 
     #[test]
     fn columns_are_found_by_name() {
-        let text = "dt,frame,wb_r,wb_g,wb_b,vignetting_a,vignetting_b,vignetting_c\n\
-                    0.5,7,1.1,1.0,0.9,-0.3,-0.2,0.1\n\n2.0,9,1,1,1,0,0,0\n";
+        let text = "dt,frame,wb_r,wb_g,wb_b\n0.5,7,1.1,1.0,0.9\n\n2.0,9,1,1,1\n";
         let found = tones(text).expect("a table");
-        let first = TrueTone {
-            frame: 7,
-            exposure: 0.5,
-            white_balance: Some([1.1, 1.0, 0.9]),
-            vignetting: Some([-0.3, -0.2, 0.1]),
-        };
+        let first = TrueTone { frame: 7, exposure: 0.5, white_balance: Some([1.1, 1.0, 0.9]) };
         assert_eq!((found.len(), found[0], found[1].frame), (2, first, 9));
         let bare = tones("dt\n1\n2\n").expect("a table");
         assert_eq!((bare[1].frame, bare[1].exposure), (1, 2.0));
-        assert_eq!((bare[1].white_balance, bare[1].vignetting), (None, None));
+        assert_eq!(bare[1].white_balance, None);
         assert!(tones("ev\n1\n").unwrap_err().contains("`dt`"));
         assert!(tones("dt\n1\n0\n").unwrap_err().contains("line 3"));
     }

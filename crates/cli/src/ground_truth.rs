@@ -16,7 +16,7 @@ pub(crate) struct GroundTruth {
     folder: PathBuf,
     /// The sequence with its sharp pictures in place of those taken.
     sharp: Option<Sequence>,
-    /// True exposures, white balance and vignetting.
+    /// True exposures and white balance.
     pub(crate) tones: Vec<TrueTone>,
     /// True poses.
     pub(crate) trajectory: Vec<StampedPose>,

@@ -116,7 +116,8 @@ impl Renderer<'_> {
         let exposure_value = automatic.next(raw, &spec.exposure);
         let name = |folder: &str, kind: &str| format!("{folder}/{index:06}.{kind}");
         if spec.output.sharp {
-            let picture = self.sensor(stamp, exposure_value).picture(&seen);
+            // As renders are: without what the lens takes away.
+            let picture = self.sensor(stamp, exposure_value).picture(&radiance);
             write_bytes(&self.folder, &name("sharp", "png"), write_picture(&picture))?;
         }
         if spec.output.hdr_every > 0 && index.is_multiple_of(spec.output.hdr_every) {

@@ -227,6 +227,7 @@ impl<T: Real> MapGradient<T> {
             opacity_logits: &mut self.opacity_logits,
             colours: &mut self.colours,
             seen: &mut self.seen,
+            first_view_row: 0,
         }
     }
 
@@ -243,7 +244,8 @@ impl<T: Real> MapGradient<T> {
         let colours = self.colours.par_chunks_mut(count).zip(view_colours);
         let colours = colours.zip(self.seen.par_chunks_mut(count));
         places.zip(shapes).zip(colours).map(|(((means, log_scales), shapes), (colours, seen))| {
-            let ((rotations, opacity_logits), (colours, view_colours)) = (shapes, colours);
+            let ((rotations, opacity_logits), (colours, views)) = (shapes, colours);
+            let (first_view_row, view_colours) = views;
             GradientRows {
                 means,
                 log_scales,
@@ -251,6 +253,7 @@ impl<T: Real> MapGradient<T> {
                 opacity_logits,
                 colours,
                 view_colours,
+                first_view_row,
                 seen,
             }
         })
@@ -269,6 +272,8 @@ pub(crate) struct GradientRows<'a, T> {
     pub(crate) colours: &'a mut [[T; 3]],
     /// Coefficients of the view colours of these Gaussians.
     pub(crate) view_colours: &'a mut [[T; 3]],
+    /// Number of the first of these coefficients in the map.
+    pub(crate) first_view_row: usize,
     pub(crate) seen: &'a mut [bool],
 }
 

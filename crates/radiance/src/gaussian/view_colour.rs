@@ -44,7 +44,7 @@ pub struct ViewColours<T = f32> {
     /// Number of the view colour by Gaussian, or `NONE`; missing ones have none.
     slots: Vec<u32>,
     cones: Vec<Cone<T>>,
-    /// Where the coefficients of each begin, and the end of the last.
+    /// First coefficient of each, and the end of the last.
     starts: Vec<u32>,
     coefficients: Vec<[T; 3]>,
 }
@@ -167,21 +167,23 @@ impl<T: Real> ViewColours<T> {
         }
     }
 
-    /// Splits values of coefficients into those of each `count` Gaussians of a map.
+    /// Splits values of coefficients into those of each `count` Gaussians of a map, with the number of
+    /// the first.
     pub(crate) fn chunks<'a, V>(
         &self,
         mut values: &'a mut [V],
         gaussians: usize,
         count: usize,
-    ) -> Vec<&'a mut [V]> {
+    ) -> Vec<(usize, &'a mut [V])> {
         assert_eq!(values.len(), self.coefficients.len(), "gradient and map differ in size");
-        let numbers = 0..gaussians.div_ceil(count);
+        let (numbers, mut next) = (0..gaussians.div_ceil(count), 0);
         let chunk = |number: usize| {
             let rows = number * count..gaussians.min((number + 1) * count);
             let length = rows.filter_map(|i| self.range(i)).map(|range| range.len()).sum();
             let (first, rest) = std::mem::take(&mut values).split_at_mut(length);
             values = rest;
-            first
+            next += length;
+            (next - length, first)
         };
         numbers.map(chunk).collect()
     }
@@ -230,7 +232,7 @@ impl<T: Real> ViewColour<'_, T> {
         })
     }
 
-    /// What is added to the colour of a Gaussian at `mean`, seen from `origin` \[m\].
+    /// Deviation from the colour of a Gaussian at `mean`, seen from `origin` \[m\].
     pub fn deviation(&self, mean: [T; 3], origin: [T; 3]) -> [T; 3] {
         let terms = terms(self.coordinates(mean, origin).place);
         self.bounded(&terms).map(|b| b * T::of(MAX_DEVIATION))
@@ -396,8 +398,9 @@ mod tests {
         }
         let mut values: Vec<usize> = (0..16).collect();
         let chunks = colours.chunks(&mut values, 8, 2);
-        assert_eq!(chunks.iter().map(|c| c.len()).collect::<Vec<_>>(), [2, 9, 5, 0]);
-        assert_eq!((chunks[1][0], chunks[2][0]), (2, 11));
+        let extents: Vec<_> = chunks.iter().map(|(first, rows)| (*first, rows.len())).collect();
+        assert_eq!(extents, [(0, 2), (2, 9), (11, 5), (16, 0)]);
+        assert_eq!((chunks[1].1[0], chunks[2].1[0]), (2, 11));
         let keep = [false, true, false, true, true];
         let flags = colours.spread_flags(&keep);
         assert_eq!(flags.iter().filter(|&&f| f).count(), 7);

@@ -25,7 +25,7 @@ use rayon::prelude::*;
 /// Pictures that count, at most: evenly spaced among the frames.
 const PICTURES: usize = 16;
 /// `ε` [px]: Gaussians that are hardly seen keep their colour.
-const LEAST_PIXELS: f32 = 0.2;
+const MIN_PIXELS: f32 = 0.2;
 /// Least opacity of pixels that count: holes are filled in pictures, not in blends.
 const OPAQUE: f32 = 0.9;
 
@@ -113,7 +113,7 @@ impl Blend {
         let weights = self.sums_over_pixels(view, weights);
         splats.par_iter_mut().zip(changes.par_iter().zip(&weights)).for_each(
             |(splat, (change, weight))| {
-                splat.shift(std::array::from_fn(|c| change[c] / (LEAST_PIXELS + weight[c])));
+                splat.shift(std::array::from_fn(|c| change[c] / (MIN_PIXELS + weight[c])));
             },
         );
     }

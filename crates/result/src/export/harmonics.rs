@@ -80,7 +80,7 @@ mod tests {
     use super::*;
     use i2slam_check::noise;
 
-    /// What a viewer shows from the directions that were seen is what the map shows, in a turned
+    /// A viewer shows the colours of the map from the directions that were seen, in a turned
     /// world too: narrow cones come out flatter, so that colours stay tame elsewhere.
     #[test]
     fn harmonics_follow_the_view_colour_within_its_cone() {

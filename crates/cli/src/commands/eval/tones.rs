@@ -74,7 +74,7 @@ mod tests {
     }
 
     fn tone(frame: usize, exposure: f64, white_balance: [f64; 3]) -> TrueTone {
-        TrueTone { frame, exposure, white_balance: Some(white_balance), vignetting: None }
+        TrueTone { frame, exposure, white_balance: Some(white_balance) }
     }
 
     #[test]

@@ -169,9 +169,7 @@ impl<const ANISOTROPIC: bool, const MAP: bool> PullBack<'_, ANISOTROPIC, MAP> {
         let Footprints { map, frame, .. } = self.footprints;
         let Some(view) = map.view_colours.get(index) else { return [0.0; 3] };
         let rows = self.rows.as_mut().and_then(|rows| {
-            let mut chunk = self.chunk * CHUNK..index + 1;
-            let first = chunk.find_map(|i| map.view_colours.range(i))?.start;
-            let range = map.view_colours.range(index)?;
+            let (range, first) = (map.view_colours.range(index)?, rows.first_view_row);
             rows.view_colours.get_mut(range.start - first..range.end - first)
         });
         view.pull_back(map.means[index], frame.origin, d_colour, rows)

@@ -45,7 +45,7 @@ pub(super) struct Recipe {
     /// Largest distance of centres from the image, as a part of its size.
     pub(super) margin: f64,
     pub(super) seed: u64,
-    /// Whether every second Gaussian shows another colour from each direction.
+    /// True if every second Gaussian shows another colour from each direction.
     pub(super) has_view_colours: bool,
 }
 
