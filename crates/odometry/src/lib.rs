@@ -131,7 +131,10 @@ mod result;
 
 mod dense;
 
-pub use dense::{DenseDepth, DenseDepthEstimator, KeyframePictures, MeasuredDepth, PosedView};
+pub use dense::{
+    DenseDepth, DenseDepthEstimator, KeyframePictures, MAX_KEYFRAME_DISTANCE, MeasuredDepth,
+    PosedView,
+};
 pub use depth::depth_map::DepthPicture;
 pub use depth::registration::register_depth;
 pub use depth::sensor_model::DepthModel;

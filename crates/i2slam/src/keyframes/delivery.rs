@@ -96,7 +96,7 @@ pub(crate) fn depth(
 }
 
 /// Dense depth as a keyframe carries it.
-pub(crate) fn into_estimated(DenseDepth { depth, variance }: DenseDepth) -> EstimatedDepth {
+pub(crate) fn into_estimated(DenseDepth { depth, variance, .. }: DenseDepth) -> EstimatedDepth {
     EstimatedDepth { depth, variance: Some(variance) }
 }
 

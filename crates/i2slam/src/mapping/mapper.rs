@@ -70,6 +70,16 @@ pub(crate) trait Mapper: Send {
     /// Removes what frames with these indices brought into the map, where that is known.
     fn forget(&mut self, _frames: &BTreeSet<usize>) {}
 
+    /// Removes what lies on the surface of `depth`, 0 where there is none, as a keyframe sees it, and
+    /// extends the map where that opened it; nothing in a map without parts that can be removed.
+    fn replace_surface(
+        &mut self,
+        _context: &mut MappingContext<'_>,
+        _keyframe: &Keyframe,
+        _depth: &Image<f32>,
+    ) {
+    }
+
     fn map(&self) -> Map;
 }
 

@@ -1,8 +1,12 @@
-//! Corrections of poses after their frames were mapped, which the map follows.
+//! Corrections of poses and depth after their frames were mapped, which the map follows.
 
 use super::Session;
-use i2slam_geometry::Pose;
+use super::posed::estimated_observation;
+use super::state::SessionState;
+use crate::keyframes::EstimatedDepth;
+use i2slam_geometry::{Image, Pose};
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
 
 impl Session {
     /// Corrects poses `world_from_camera` at mid-exposure by the index of their frames, in the world
@@ -33,6 +37,25 @@ impl Session {
             let (mapper, _, context) = self.mapping();
             mapper.correct(&context, &motions);
         }
+    }
+
+    /// Replaces the depth of a keyframe, as later ones find it. Gaussians that lie where it was
+    /// `contradicted` \[depth, 0 elsewhere\] leave the map, which grows where they were seen. Does
+    /// nothing for a frame that is no keyframe in the map.
+    pub(super) fn revise_depth(
+        &mut self,
+        index: usize,
+        depth: EstimatedDepth,
+        contradicted: &Image<f32>,
+    ) {
+        let SessionState { frames, keyframes, scratch, .. } = &mut self.state;
+        let keyframe = keyframes.iter_mut().find(|keyframe| frames[keyframe.frame].index == index);
+        let Some(keyframe) = keyframe else { return };
+        let colour = Arc::clone(&keyframe.observation.get().colour);
+        keyframe.observation = scratch.insert(estimated_observation(colour, depth));
+        let keyframe = keyframe.clone();
+        let (mapper, _, mut context) = self.mapping();
+        mapper.replace_surface(&mut context, &keyframe, contradicted);
     }
 
     /// Removes frames, by their index, and the Gaussians that they brought into the map.

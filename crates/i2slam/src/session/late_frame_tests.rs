@@ -3,8 +3,10 @@
 use super::posed_tests::{keyframe, pose};
 use super::*;
 use crate::keyframes::{EstimatedDepth, PosedKeyframe};
+use crate::reconstruction::Map;
 use crate::session::tracked_tests::{CAMERA, frame};
 use i2slam_geometry::{Pose, Rotation, Vec3};
+use i2slam_radiance::gaussian::GaussianMap;
 
 /// A few steps on a map of Gaussians.
 fn quick_gaussians() -> Config {
@@ -64,4 +66,48 @@ fn a_frame_that_comes_again_is_replaced() {
     assert_eq!(keyframes, [0, 1, 2, 3]);
     let again = session.mapper.gaussians();
     assert!(again < gaussians + gaussians / 4, "{gaussians} -> {again}");
+}
+
+/// Gaussians on a surface that pictures contradict leave the map; it grows at the depth found instead,
+/// and only there.
+#[test]
+fn a_contradicted_surface_is_replaced() {
+    let mut session = Session::refining(quick_gaussians(), CAMERA, 30.0);
+    session.add_keyframe(measured_keyframe(0)).expect("a keyframe");
+    let Some(EstimatedDepth { depth, .. }) = measured_keyframe(0).depth else { panic!("measured") };
+    let left = |pixel: usize| pixel % CAMERA.width < CAMERA.width / 2;
+    let part = |scale: [f32; 2]| {
+        let pixels = depth.data.iter().enumerate();
+        let data = pixels.map(|(i, z)| z * scale[usize::from(left(i))]).collect();
+        Image { data, ..depth.clone() }
+    };
+    let farther = EstimatedDepth { depth: part([1.0, 1.5]), variance: None };
+    let before = session.mapper.map();
+    session.revise_depth(99, farther.clone(), &part([0.0, 1.0]));
+    let (Map::Gaussians(before), Map::Gaussians(same)) = (before, session.mapper.map()) else {
+        panic!("a map of Gaussians")
+    };
+    assert_eq!(before.means, same.means, "no such keyframe");
+    session.revise_depth(0, farther, &part([0.0, 1.0]));
+    let Map::Gaussians(after) = session.mapper.map() else { panic!("a map of Gaussians") };
+    let camera_from_world = session.frames()[0].middle().inverse();
+    let mean_ratio = |map: &GaussianMap, of_left: bool| {
+        let ratios: Vec<f64> = map
+            .means
+            .iter()
+            .filter_map(|mean| {
+                let point = camera_from_world * Vec3::from_array(mean.map(f64::from));
+                let (u, v) = CAMERA.project(point);
+                let pixel = v as usize * CAMERA.width + u as usize;
+                let near_middle = (u - CAMERA.width as f64 / 2.0).abs() < 4.0;
+                let is_shown = CAMERA.contains(u, v, 0.0) && !near_middle && left(pixel) == of_left;
+                is_shown.then(|| point.z / f64::from(depth.data[pixel]))
+            })
+            .collect();
+        ratios.iter().sum::<f64>() / ratios.len() as f64
+    };
+    let ratios = |of_left: bool| [mean_ratio(&before, of_left), mean_ratio(&after, of_left)];
+    let (left, right) = (ratios(true), ratios(false));
+    assert!((left[0] - 1.0).abs() < 0.03 && left[1] > 1.4, "{left:?}");
+    assert!(right.iter().all(|ratio| (ratio - 1.0).abs() < 0.03), "{right:?}");
 }

@@ -5,7 +5,7 @@ use super::Session;
 use super::error::{SessionError, check_image};
 use super::state::SessionState;
 use crate::config::{MapKind, ResponseScope};
-use crate::keyframes::PosedKeyframe;
+use crate::keyframes::{EstimatedDepth, PosedKeyframe};
 use crate::mapping::{AdjacentFrames, Keyframe};
 use crate::objective::Observation;
 use crate::reconstruction::FrameEstimate;
@@ -37,6 +37,17 @@ impl SourcePoses {
         if let Some(pose) = self.keyframes.get_mut(&index) {
             *pose = world_from_camera;
         }
+    }
+}
+
+/// A picture with its depth.
+pub(super) fn estimated_observation(
+    colour: Arc<Image<f32>>,
+    EstimatedDepth { depth, variance }: EstimatedDepth,
+) -> Observation {
+    match variance {
+        None => Observation::new(colour, depth),
+        Some(variance) => Observation::estimated(colour, depth, variance),
     }
 }
 
@@ -163,10 +174,7 @@ impl Session {
                 let no_depth = Image::new(self.camera.width, self.camera.height, 1);
                 Observation::new(colour, no_depth)
             }
-            Some(estimated) => match estimated.variance {
-                None => Observation::new(colour, estimated.depth),
-                Some(variance) => Observation::estimated(colour, estimated.depth, variance),
-            },
+            Some(estimated) => estimated_observation(colour, estimated),
         };
         let response = self.response_at(position);
         let previous = self.state.frames[..position].last();

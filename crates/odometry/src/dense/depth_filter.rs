@@ -70,7 +70,7 @@ pub(super) fn fuse_consistent(
 
 /// Largest difference of consistent readings: in standard deviations of both, and relative to them,
 /// for what lies between the pixels of a slanted surface.
-const MAX_READING_DEVIATIONS: f32 = 3.0;
+pub(super) const MAX_READING_DEVIATIONS: f32 = 3.0;
 const MAX_READING_DIFFERENCE: f32 = 0.005;
 
 /// Averages the inverse depths of a sensor with the readings of `others` (with
@@ -98,36 +98,78 @@ fn fused_reading(
     others: &[(&InverseDepthEstimate, Pose<f64>)],
     pixel: usize,
 ) -> (f32, f32) {
-    let width = own.inverse_depth.width;
     let (rho, variance) = (own.inverse_depth.data[pixel], own.variance.data[pixel]);
-    let (u, v) = Camera::pixel_centre(pixel % width, pixel / width);
-    let point = camera.unproject(u, v, 1.0 / f64::from(rho));
     let (mut seen, mut agree) = (0, 0);
     let (mut sum, mut weight) = (rho / variance, 1.0 / variance);
     for (other, other_from_own) in others {
-        let there = *other_from_own * point;
-        let at = (there.z > 0.0).then(|| camera.project(there));
-        let tap = at.and_then(|(x, y)| other.inverse_depth.tap(x as f32, y as f32));
-        let Some(tap) = tap else { continue };
-        let values = tap.values(&other.inverse_depth.data);
-        if !is_one_surface(values) {
+        let Some(found) = other_reading(camera, own, pixel, other, other_from_own) else {
             continue;
-        }
+        };
         seen += 1;
-        let (found, due) = (tap.interpolate(values).0, (1.0 / there.z) as f32);
-        // The same error of the depth: `dz = -dρ/ρ²` in both.
-        let slope = (rho / due).powi(2);
-        let its = tap.interpolate(tap.values(&other.variance.data)).0 * slope * slope;
-        let most = MAX_READING_DEVIATIONS * (variance + its).sqrt() / slope;
-        if (found - due).abs() > most.max(MAX_READING_DIFFERENCE * due) {
-            continue;
+        if found.agrees {
+            agree += 1;
+            sum += found.inverse_depth / found.variance;
+            weight += 1.0 / found.variance;
         }
-        agree += 1;
-        sum += (rho + (found - due) * slope) / its;
-        weight += 1.0 / its;
     }
     let is_contradicted = agree == 0 && (seen > 1 || !is_supported(own, pixel));
     (if is_contradicted { 0.0 } else { sum / weight }, 1.0 / weight)
+}
+
+/// The reading of another view where it sees the surface of a pixel, as an inverse depth of the pixel.
+pub(super) struct OtherReading {
+    inverse_depth: f32,
+    variance: f32,
+    /// True if both views have read the same surface.
+    pub(super) agrees: bool,
+    /// Nearest pixel of the other view.
+    pub(super) pixel: usize,
+}
+
+/// What another view (with `other_from_own`) has read at the surface of a pixel with a reading; `None`
+/// where it sees none, or an edge.
+pub(super) fn other_reading(
+    camera: &Camera<f64>,
+    own: &InverseDepthEstimate,
+    pixel: usize,
+    other: &InverseDepthEstimate,
+    other_from_own: &Pose<f64>,
+) -> Option<OtherReading> {
+    let width = own.inverse_depth.width;
+    let (rho, variance) = (own.inverse_depth.data[pixel], own.variance.data[pixel]);
+    let (u, v) = Camera::pixel_centre(pixel % width, pixel / width);
+    let there = *other_from_own * camera.unproject(u, v, 1.0 / f64::from(rho));
+    let (x, y) = (there.z > 0.0).then(|| camera.project(there))?;
+    let tap = other.inverse_depth.tap(x as f32, y as f32)?;
+    let values = tap.values(&other.inverse_depth.data);
+    if !is_one_surface(values) {
+        return None;
+    }
+    let (found, due) = (tap.interpolate(values).0, (1.0 / there.z) as f32);
+    // The same error of the depth: `dz = -dρ/ρ²` in both.
+    let slope = (rho / due).powi(2);
+    let its = tap.interpolate(tap.values(&other.variance.data)).0 * slope * slope;
+    let most = MAX_READING_DEVIATIONS * (variance + its).sqrt() / slope;
+    Some(OtherReading {
+        inverse_depth: rho + (found - due) * slope,
+        variance: its,
+        pixel: y as usize * width + x as usize,
+        agrees: (found - due).abs() <= most.max(MAX_READING_DIFFERENCE * due),
+    })
+}
+
+/// True for each pixel whose reading another view (with `other_from_own`) confirms.
+pub(super) fn confirmed_readings(
+    camera: &Camera<f64>,
+    own: &InverseDepthEstimate,
+    other: &InverseDepthEstimate,
+    other_from_own: &Pose<f64>,
+) -> Vec<bool> {
+    let is_confirmed = |pixel: usize| {
+        own.inverse_depth.data[pixel] > 0.0
+            && other_reading(camera, own, pixel, other, other_from_own).is_some_and(|o| o.agrees)
+    };
+    (0..own.inverse_depth.data.len()).into_par_iter().map(is_confirmed).collect()
 }
 
 /// Adjacent readings that must agree with one that no other view confirms: spikes stand alone.
@@ -175,7 +217,7 @@ pub(super) fn inflate_variance_at_edges(found: &mut DenseDepth, reach: usize) {
 }
 
 /// Reduces squares of `2 reach + 1` pixels a side by `pick`.
-fn square_filter(
+pub(super) fn square_filter(
     values: &[f32],
     (width, height): (usize, usize),
     reach: usize,
@@ -243,7 +285,7 @@ mod tests {
             if column == 3 { 0.0 } else { far + 0.01 * row as f32 }
         });
         let variance = Image { data: vec![1e-4; 240], ..depth.clone() };
-        DenseDepth { depth, variance }
+        DenseDepth { depth, variance, contradicted: None }
     }
 
     #[test]

@@ -18,15 +18,33 @@ const REFINEMENTS: [(usize, f32); 2] = [(4, 0.5), (3, 0.25)];
 /// Largest step between coarse pixels across which inverse depth is interpolated, over its value.
 const MAX_UPSAMPLED_STEP: f32 = 0.1;
 /// Mean cost that noise alone leaves.
-const MIN_COST: f32 = 0.01;
+pub(super) const MIN_COST: f32 = 0.01;
 /// Cost above which a match has no value.
 const MAX_COST: f32 = 0.6;
+
+/// Largest relative standard deviation of a known inverse depth.
+const MAX_RELATIVE_DEVIATION: f32 = 0.1;
 
 /// Inverse depth, 0 where unknown, with its variance for every pixel.
 #[derive(Clone, Debug)]
 pub(super) struct InverseDepthEstimate {
     pub(super) inverse_depth: Image<f32>,
     pub(super) variance: Image<f32>,
+}
+
+impl InverseDepthEstimate {
+    /// True where the deviation is small enough for a depth.
+    pub(super) fn is_known(&self, pixel: usize) -> bool {
+        let (rho, variance) = (self.inverse_depth.data[pixel], self.variance.data[pixel]);
+        rho > 0.0 && variance.sqrt() <= MAX_RELATIVE_DEVIATION * rho
+    }
+
+    /// Makes pixels unknown.
+    pub(super) fn remove(&mut self, pixels: &[bool]) {
+        let all = self.inverse_depth.data.iter_mut().zip(&mut self.variance.data).zip(pixels);
+        all.filter(|(_, is_removed)| **is_removed)
+            .for_each(|((rho, v), _)| (*rho, *v) = (0.0, 0.0));
+    }
 }
 
 /// Another keyframe: pyramid and `other_from_keyframe`.
@@ -95,7 +113,7 @@ fn at_level(camera: &Camera<f64>, picture: &Image<f32>, level: usize) -> Camera<
     }
 }
 
-fn plane_sweep_at<'a>(
+pub(super) fn plane_sweep_at<'a>(
     camera: &Camera<f64>,
     picture: &Image<f32>,
     others: &[NeighbourView<'a>],

@@ -5,11 +5,12 @@
 //! and refined twice around the result with windows that follow the surface. Depth that other
 //! keyframes contradict is dropped; variances are inflated at depth edges.
 //!
-//! Where depth was measured, readings of neighbouring keyframes are averaged in the same way, and
-//! plane sweep completes what the sensor does not see.
+//! Where depth was measured, readings of neighbouring keyframes are averaged in the same way. Those
+//! that pictures contradict are left out, and plane sweep completes what the sensor does not see.
 
 mod depth_filter;
 mod inverse_depth;
+mod picture_check;
 mod plane_sweep;
 mod semi_global;
 mod view_selection;
@@ -17,25 +18,27 @@ mod view_selection;
 use crate::depth::registration::register_depth;
 use crate::depth::sensor_model::DepthModel;
 use crate::track::pyramid::Pyramid;
-use depth_filter::{fuse_consistent, fuse_readings, inflate_variance_at_edges};
+use depth_filter::{confirmed_readings, fuse_consistent, fuse_readings, inflate_variance_at_edges};
 use i2slam_compute::{CancellationToken, median};
 use i2slam_geometry::{Camera, Image, Pose};
-use inverse_depth::{HALF_WINDOWS, InverseDepthEstimate, estimate_inverse_depth};
+use inverse_depth::{
+    HALF_WINDOWS, InverseDepthEstimate, NeighbourView, estimate_inverse_depth, plane_sweep_at,
+};
+use picture_check::{add_evidence_of, agree, evidence_against};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// Distance of matched keyframes in their order.
-const MAX_KEYFRAME_DISTANCE: usize = 8;
+pub const MAX_KEYFRAME_DISTANCE: usize = 8;
 /// Keyframes that one is matched with, and compared with for consistency.
 const MAX_VIEWS: usize = 5;
+/// Share of pixels without a reading from which on they are estimated from pictures: less is beside
+/// edges, where a sweep is less exact than the readings around.
+const MAX_MISSING_SHARE: f64 = 0.05;
 /// Margin of the search range around the landmarks' inverse depths, relative.
 const RANGE_MARGIN: f64 = 0.5;
 /// Ratio of landmarks outside the range on either side.
 const OUTLIER_RATIO: f64 = 0.01;
-/// Share of pixels without a reading from which on they are estimated from pictures.
-const MAX_MISSING_SHARE: f64 = 0.05;
-/// Largest relative standard deviation of a known inverse depth.
-const MAX_RELATIVE_DEVIATION: f32 = 0.1;
 
 /// Depth along the optical axis with its variance, in the unit of the poses and its square.
 #[derive(Clone, Debug)]
@@ -44,6 +47,8 @@ pub struct DenseDepth {
     pub depth: Image<f32>,
     /// Its variance; 0 where the depth is unknown.
     pub variance: Image<f32>,
+    /// Readings that pictures contradict, 0 elsewhere; `None` where none was compared.
+    pub contradicted: Option<Image<f32>>,
 }
 
 /// The pictures of a keyframe.
@@ -90,6 +95,8 @@ pub struct DenseDepthEstimator {
     /// Model of the sensor, and the readings of keyframes that have some.
     depth_model: Option<DepthModel>,
     measured: BTreeMap<usize, InverseDepthEstimate>,
+    /// Evidence of pictures against the readings of keyframes, see [`picture_check`].
+    evidence: BTreeMap<usize, Vec<f32>>,
     cancellation: CancellationToken,
 }
 
@@ -103,6 +110,7 @@ impl DenseDepthEstimator {
             estimates: BTreeMap::new(),
             depth_model: None,
             measured: BTreeMap::new(),
+            evidence: BTreeMap::new(),
             cancellation: CancellationToken::default(),
         }
     }
@@ -145,26 +153,28 @@ impl DenseDepthEstimator {
         }
         let others = self.selected_views(index);
         others.iter().chain([&index]).for_each(|i| self.ensure_pictures(*i, load));
-        let measured = self.fused_readings(index, &others);
-        let missing = measured.as_ref().map_or(1.0, missing_share);
-        let estimated = if missing > MAX_MISSING_SHARE {
-            self.fused_estimate(index, &others, load)
-        } else {
-            None
+        let readings = self.fused_readings(index, &others);
+        let swept = self.fused_sweep(index, &others, load);
+        let depth = match (readings, swept) {
+            (Some(readings), Some(swept)) => {
+                let contradicted = self.compare_with_pictures(index, &others, &readings, &swept);
+                let depth = completed(readings, &contradicted, &swept_depth(&swept));
+                Some(depth)
+            }
+            (Some(readings), None) => Some(depth_from_inverse(&readings)),
+            (None, swept) => swept.as_ref().map(swept_depth),
         };
-        let oldest = index.saturating_sub(MAX_KEYFRAME_DISTANCE);
+        let oldest = index.saturating_sub(2 * MAX_KEYFRAME_DISTANCE);
         self.estimates.retain(|i, _| *i >= oldest);
         self.measured.retain(|i, _| *i >= oldest);
+        self.evidence.retain(|i, _| *i >= oldest);
         self.pictures.retain(|i, _| *i + MAX_KEYFRAME_DISTANCE >= oldest);
-        match (measured, estimated) {
-            (Some(measured), estimated) => Some(completed(&measured, estimated)),
-            (None, estimated) => estimated,
-        }
+        depth
     }
 
     /// Measured depth of a frame between keyframes, at `world_from_camera` and near keyframe `near`,
-    /// averaged with that of keyframes; holes stay. `load` as for [`estimate`](Self::estimate).
-    /// `None` without a model of the sensor.
+    /// averaged with that of keyframes, without readings that pictures are known to contradict; holes
+    /// stay. `load` as for [`estimate`](Self::estimate). `None` without a model of the sensor.
     pub fn fuse(
         &mut self,
         world_from_camera: Pose<f64>,
@@ -185,21 +195,21 @@ impl DenseDepthEstimator {
             None => Vec::new(),
         };
         others.iter().for_each(|i| self.ensure_pictures(*i, load));
-        let fused = fuse_readings(
-            &self.camera,
-            &own,
-            &self.relative_to(world_from_camera, &others, &self.measured),
-        );
+        let known = self.relative_to(world_from_camera, &others, &self.measured);
+        let mut fused = fuse_readings(&self.camera, &own, &known);
+        let none = vec![0.0; fused.inverse_depth.data.len()];
+        let contradicted = self.contradicted(world_from_camera, &fused, none);
+        fused.remove(&contradicted);
         Some(depth_from_inverse(&fused))
     }
 
-    /// Depth from pictures alone, confirmed by other keyframes.
-    fn fused_estimate(
+    /// Inverse depth from pictures alone, confirmed by other keyframes.
+    fn fused_sweep(
         &mut self,
         index: usize,
         others: &[usize],
         load: &mut dyn FnMut(usize) -> Option<KeyframePictures>,
-    ) -> Option<DenseDepth> {
+    ) -> Option<InverseDepthEstimate> {
         self.ensure_estimate(index, load)?;
         for other in others {
             self.ensure_estimate(*other, load);
@@ -209,10 +219,50 @@ impl DenseDepthEstimator {
         }
         let own = self.estimates.get(&index)?;
         let known = self.relative_to(self.pose(index), others, &self.estimates);
-        let kept = fuse_consistent(&self.camera, own, &known);
-        let mut found = depth_from_inverse(&kept);
-        inflate_variance_at_edges(&mut found, HALF_WINDOWS[0]);
-        Some(found)
+        Some(fuse_consistent(&self.camera, own, &known))
+    }
+
+    /// Compares the readings of a keyframe with pictures of `others`; marks those that are contradicted.
+    fn compare_with_pictures(
+        &mut self,
+        index: usize,
+        others: &[usize],
+        readings: &InverseDepthEstimate,
+        swept: &InverseDepthEstimate,
+    ) -> Vec<bool> {
+        self.evidence.remove(&index);
+        let others: Vec<usize> =
+            others.iter().copied().filter(|i| self.measured.contains_key(i)).collect();
+        let views = self.neighbour_views(index, &others);
+        let Some(own) = self.picture(index) else { return Vec::new() };
+        let sweep = plane_sweep_at(&self.camera, own.finest(), &views, 0);
+        let confirmed: Vec<Vec<bool>> = self
+            .relative_to(self.pose(index), &others, &self.measured)
+            .iter()
+            .map(|(other, pose)| confirmed_readings(&self.camera, readings, other, pose))
+            .collect();
+        let evidence = evidence_against(&sweep, readings, swept, &confirmed);
+        let mut contradicted = self.contradicted(self.pose(index), readings, evidence.clone());
+        for (pixel, is) in contradicted.iter_mut().enumerate() {
+            *is &= !(swept.is_known(pixel) && agree(readings, swept, pixel));
+        }
+        self.evidence.insert(index, evidence);
+        contradicted
+    }
+
+    /// Marks readings that are contradicted by evidence of their own view and of keyframes.
+    fn contradicted(
+        &self,
+        world_from_camera: Pose<f64>,
+        readings: &InverseDepthEstimate,
+        mut evidence: Vec<f32>,
+    ) -> Vec<bool> {
+        for (index, of_keyframe) in &self.evidence {
+            let Some(other) = self.measured.get(index) else { continue };
+            let there = (other, self.pose(*index).inverse() * world_from_camera);
+            add_evidence_of(&self.camera, readings, there, of_keyframe, &mut evidence);
+        }
+        evidence.iter().map(|sum| *sum > 0.0).collect()
     }
 
     /// Readings of a keyframe averaged with those of others; what they contradict is left out.
@@ -224,6 +274,17 @@ impl DenseDepthEstimator {
 
     fn pose(&self, index: usize) -> Pose<f64> {
         self.views[index].world_from_camera
+    }
+
+    fn picture(&self, index: usize) -> Option<&Pyramid> {
+        self.pictures.get(&index).and_then(Option::as_ref)
+    }
+
+    /// Pictures of other keyframes as a keyframe is matched with them.
+    fn neighbour_views(&self, index: usize, others: &[usize]) -> Vec<NeighbourView<'_>> {
+        let pose = self.pose(index);
+        let view = |i: &usize| Some((self.picture(*i)?, self.pose(*i).inverse() * pose));
+        others.iter().filter_map(view).collect()
     }
 
     /// Estimates of keyframes, with their poses `other_from_camera`.
@@ -298,18 +359,13 @@ impl DenseDepthEstimator {
         }
         let (chosen, bounds) = (self.selected_views(index), self.inverse_depth_bounds(index)?);
         chosen.iter().chain([&index]).for_each(|i| self.ensure_pictures(*i, load));
-        let picture = |i: usize| self.pictures.get(&i).and_then(Option::as_ref);
-        let pose = self.views[index].world_from_camera;
-        let others: Vec<(&Pyramid, Pose<f64>)> = chosen
-            .iter()
-            .filter_map(|i| Some((picture(*i)?, self.views[*i].world_from_camera.inverse() * pose)))
-            .collect();
+        let others = self.neighbour_views(index, &chosen);
         if others.is_empty() {
             return None;
         }
         let found = estimate_inverse_depth(
             &self.camera,
-            picture(index)?,
+            self.picture(index)?,
             &others,
             bounds,
             &self.cancellation,
@@ -336,34 +392,49 @@ fn readings(
     InverseDepthEstimate { inverse_depth, variance }
 }
 
+/// Measured depth without contradicted readings, completed by estimated depth in their place, and
+/// wherever it is missing if that is in more than [`MAX_MISSING_SHARE`].
+fn completed(
+    mut readings: InverseDepthEstimate,
+    contradicted: &[bool],
+    estimated: &DenseDepth,
+) -> DenseDepth {
+    let mut rejected = depth_from_inverse(&readings).depth;
+    rejected.data.iter_mut().zip(contradicted).filter(|(_, is)| !**is).for_each(|(z, _)| *z = 0.0);
+    let fills_holes = missing_share(&readings) > MAX_MISSING_SHARE;
+    readings.remove(contradicted);
+    let mut out = depth_from_inverse(&readings);
+    let pixels = out.depth.data.iter_mut().zip(&mut out.variance.data).enumerate();
+    let is_replaced = |pixel: usize, z: f32| z <= 0.0 && (fills_holes || contradicted[pixel]);
+    for (pixel, (z, variance)) in pixels.filter(|(pixel, (z, _))| is_replaced(*pixel, **z)) {
+        (*z, *variance) = (estimated.depth.data[pixel], estimated.variance.data[pixel]);
+    }
+    DenseDepth { contradicted: Some(rejected), ..out }
+}
+
 /// Share of pixels without inverse depth.
 fn missing_share(estimate: &InverseDepthEstimate) -> f64 {
     let all = &estimate.inverse_depth.data;
     all.iter().filter(|rho| **rho <= 0.0).count() as f64 / all.len().max(1) as f64
 }
 
-/// Measured depth, completed by estimated depth where it is missing.
-fn completed(measured: &InverseDepthEstimate, estimated: Option<DenseDepth>) -> DenseDepth {
-    let mut out = depth_from_inverse(measured);
-    let Some(estimated) = estimated else { return out };
-    for (pixel, z) in out.depth.data.iter_mut().enumerate().filter(|(_, z)| **z <= 0.0) {
-        *z = estimated.depth.data[pixel];
-        out.variance.data[pixel] = estimated.variance.data[pixel];
-    }
+/// Depth of a plane sweep: beside edges windows may have matched either surface.
+fn swept_depth(swept: &InverseDepthEstimate) -> DenseDepth {
+    let mut out = depth_from_inverse(swept);
+    inflate_variance_at_edges(&mut out, HALF_WINDOWS[0]);
     out
 }
 
 /// Depth with variance `σ_z = z² σ_ρ`, where that is small enough.
 fn depth_from_inverse(estimate: &InverseDepthEstimate) -> DenseDepth {
     let (width, height) = (estimate.inverse_depth.width, estimate.inverse_depth.height);
-    let mut out =
-        DenseDepth { depth: Image::new(width, height, 1), variance: Image::new(width, height, 1) };
+    let image = || Image::new(width, height, 1);
+    let mut out = DenseDepth { depth: image(), variance: image(), contradicted: None };
     for (pixel, rho) in estimate.inverse_depth.data.iter().enumerate() {
-        let variance = estimate.variance.data[pixel];
-        if *rho > 0.0 && variance.sqrt() <= MAX_RELATIVE_DEVIATION * rho {
+        if estimate.is_known(pixel) {
             let z = 1.0 / rho;
             out.depth.data[pixel] = z;
-            out.variance.data[pixel] = variance * z.powi(4);
+            out.variance.data[pixel] = estimate.variance.data[pixel] * z.powi(4);
         }
     }
     out

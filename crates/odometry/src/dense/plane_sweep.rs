@@ -71,16 +71,34 @@ impl<'a> PlaneSweep<'a> {
         CostVolume { values, labels }
     }
 
+    /// Costs of each neighbour at one inverse depth per pixel; above 1 where it does not see a pixel.
+    pub(super) fn neighbour_costs(&self, inverse_depth: &[f32]) -> Vec<Vec<f32>> {
+        let (mut scratch, arch) = (Scratch::default(), Arch::new());
+        let each = self.neighbours.iter();
+        each.map(|n| self.plane_costs(arch, n, (inverse_depth, 0.0), &mut scratch)).collect()
+    }
+
+    /// Costs of a neighbour, [`UNSEEN`] where it does not see a pixel.
+    fn plane_costs(
+        &self,
+        arch: Arch,
+        neighbour: &SweptView<'_>,
+        (inverse_depth, offset): (&[f32], f32),
+        scratch: &mut Scratch,
+    ) -> Vec<f32> {
+        let mut costs = vec![0.0; inverse_depth.len()];
+        arch.dispatch(|| {
+            neighbour.warp_to_keyframe(inverse_depth, offset, scratch);
+            self.windows.write_costs(scratch, &mut costs);
+        });
+        costs
+    }
+
     /// Mean cost of the better half of the neighbours that see a pixel: others may be occluded.
     fn mean_plane_costs(&self, arch: Arch, inverse_depth: &[f32], offset: f32) -> Vec<f32> {
         let mut scratch = Scratch::default();
         let mut cost = |neighbour: &SweptView<'_>| {
-            let mut costs = vec![0.0; inverse_depth.len()];
-            arch.dispatch(|| {
-                neighbour.warp_to_keyframe(inverse_depth, offset, &mut scratch);
-                self.windows.write_costs(&mut scratch, &mut costs);
-            });
-            costs
+            self.plane_costs(arch, neighbour, (inverse_depth, offset), &mut scratch)
         };
         let each: Vec<Vec<f32>> = self.neighbours.iter().map(&mut cost).collect();
         let mut mean = vec![0.0; inverse_depth.len()];
@@ -251,7 +269,7 @@ fn inverse_deviation(mean: f32, mean_square: f32) -> f32 {
 
 /// Writes window means; the border value is repeated beyond the border.
 #[inline(always)]
-fn write_window_means(
+pub(super) fn write_window_means(
     plane: &[f32],
     (width, height): (usize, usize),
     half: usize,

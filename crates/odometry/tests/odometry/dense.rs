@@ -2,7 +2,9 @@
 
 use crate::scene::{camera, moving, picture};
 use i2slam_geometry::{Camera, Image, Pose};
-use i2slam_odometry::{DenseDepthEstimator, KeyframePictures, PosedView};
+use i2slam_odometry::{
+    DenseDepthEstimator, DepthModel, KeyframePictures, MeasuredDepth, PosedView,
+};
 use std::sync::Arc;
 
 /// The true depth at the centre of every pixel.
@@ -73,4 +75,70 @@ fn nothing_is_known_without_parallax_or_pictures() {
     let mut dense = DenseDepthEstimator::new(camera(), views);
     assert!(dense.estimate(1, &mut |_| None).is_none());
     assert!(dense.estimate(99, &mut |_| None).is_none());
+}
+
+/// Depth of a pane before the room, where a ray meets it.
+fn pane(world_from_camera: Pose<f64>, [u, v]: [f64; 2]) -> Option<f64> {
+    let ray = world_from_camera.rotation.rotate(camera().unproject(u, v, 1.0));
+    let from = world_from_camera.translation;
+    let depth = (2.0 - from.z) / ray.z;
+    let point = from + ray * depth;
+    ((-0.3..0.9).contains(&point.x) && (-0.6..0.4).contains(&point.y)).then_some(depth)
+}
+
+/// Readings of the room, and of the pane, which pictures do not show.
+fn measured(pose: Pose<f64>) -> MeasuredDepth {
+    let room = depth(pose);
+    let depth = Image::from_fn(camera().width, camera().height, 1, |_, column, row| {
+        let (u, v) = Camera::<f64>::pixel_centre(column, row);
+        pane(pose, [u, v]).unwrap_or(room[row * camera().width + column]) as f32
+    });
+    MeasuredDepth { depth: Arc::new(depth), depth_from_colour: Pose::identity() }
+}
+
+/// Pixels whose ray meets the pane, which is before a wall or not.
+fn pane_pixels(pose: Pose<f64>) -> Vec<bool> {
+    let at = |i: usize| Camera::<f64>::pixel_centre(i % camera().width, i / camera().width);
+    (0..camera().pixels()).map(|i| pane(pose, [at(i).0, at(i).1]).is_some()).collect()
+}
+
+/// A pane or mirror is read, but pictures show what lies behind it: pictures decide.
+#[test]
+fn readings_that_pictures_contradict_are_left_out() {
+    let (views, pictures) = views();
+    let mut dense =
+        DenseDepthEstimator::new(camera(), views).with_depth_model(Some(DepthModel::default()));
+    let mut load = |k: usize| {
+        let colour = Arc::new(pictures[k].clone());
+        Some(KeyframePictures { colour, depth: Some(measured(moving(3 * k))) })
+    };
+    let found = dense.estimate(2, &mut load).expect("neighbours with parallax");
+    let contradicted = found.contradicted.expect("readings were compared");
+    let (truth, is_pane) = (depth(moving(6)), pane_pixels(moving(6)));
+    let behind = is_pane.iter().filter(|is| **is).count();
+    assert!(behind > 2000, "{behind} pixels of the pane");
+    let rejected = |pane: bool| {
+        let all = contradicted.data.iter().zip(&is_pane);
+        all.filter(|(z, is)| **z > 0.0 && **is == pane).count()
+    };
+    assert!(10 * rejected(true) > 8 * behind, "{} of {behind}", rejected(true));
+    let others = truth.len() - behind;
+    assert!(30 * rejected(false) < others, "{} of {others} good ones", rejected(false));
+    let errors: Vec<f64> = (0..truth.len())
+        .filter(|i| contradicted.data[*i] > 0.0 && is_pane[*i] && found.depth.data[*i] > 0.0)
+        .map(|i| (f64::from(found.depth.data[i]) / truth[i] - 1.0).abs())
+        .collect();
+    assert!(2 * errors.len() > behind, "{} of {behind} found", errors.len());
+    let half = quantile(errors, 0.5);
+    assert!(half < 0.02, "relative error {half}");
+    // A frame between keyframes leaves out what these have found.
+    let pose = moving(7);
+    let between = dense.fuse(pose, 2, &measured(pose), &mut load).expect("a model of the sensor");
+    let left: Vec<bool> = between.depth.data.iter().map(|z| *z > 0.0).collect();
+    let count = |pane: bool| {
+        let all = pane_pixels(pose).into_iter().zip(&left);
+        all.filter(|(is, left)| *is == pane && **left).count()
+    };
+    assert!(4 * count(true) < behind, "{} left", count(true));
+    assert!(10 * count(false) > 9 * others, "{} of {others} left", count(false));
 }

@@ -21,6 +21,9 @@ const MIN_OPACITY: f32 = 0.005;
 /// Standard deviation over the scene's radius above which a Gaussian is removed (SplaTAM).
 const MAX_SCALE: f32 = 0.1;
 
+/// Distance of Gaussians on a surface from it, over its depth: a few deviations of a sensor.
+const SURFACE_TOLERANCE: f64 = 0.03;
+
 /// A frame as a source of new Gaussians.
 pub(super) struct SourceFrame<'a> {
     pub(super) camera: &'a Camera<f64>,
@@ -108,6 +111,26 @@ pub(super) fn prune(map: &mut GaussianMap, max_scale: f32) -> Vec<bool> {
         map.retain(&keep);
     }
     keep
+}
+
+/// Marks the Gaussians that do not lie on a surface that a camera sees at `depth`, 0 where there is
+/// none.
+pub(super) fn outside_surface(
+    map: &GaussianMap,
+    camera: &Camera<f64>,
+    camera_from_world: Pose<f64>,
+    depth: &Image<f32>,
+) -> Vec<bool> {
+    let is_on_surface = |mean: &[f32; 3]| {
+        let point = camera_from_world * Vec3::from_array(mean.map(f64::from));
+        let (u, v) = camera.project(point);
+        if point.z <= 0.0 || !camera.contains(u, v, 0.0) {
+            return false;
+        }
+        let surface = f64::from(depth.at(0, u as usize, v as usize));
+        surface > 0.0 && (point.z - surface).abs() <= SURFACE_TOLERANCE * surface
+    };
+    map.means.iter().map(|mean| !is_on_surface(mean)).collect()
 }
 
 /// Adds a ball for every marked pixel.

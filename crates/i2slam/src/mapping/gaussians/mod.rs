@@ -22,7 +22,9 @@ use crate::objective::{FrameObjective, FrameVariables, Observation};
 use crate::reconstruction::Map;
 use crate::tracking::{TrackingContext, TrackingResult};
 use anchors::Anchors;
-use density_control::{SourceFrame, max_scale, prune, push_balls, unexplained_pixels};
+use density_control::{
+    SourceFrame, max_scale, outside_surface, prune, push_balls, unexplained_pixels,
+};
 use flat_gaussians::{partition, push_flat_gaussians};
 use i2slam_formation::{CameraResponse, CentreVelocity, Formation, ResponseCurve, TrajectoryScale};
 use i2slam_geometry::{Camera, Image, Pose};
@@ -151,6 +153,51 @@ impl GaussianMapper {
         self.anchors.inherit(&origins);
     }
 
+    /// Adds Gaussians where a keyframe sees more than the map, but not at `closed` pixels.
+    fn extend(&mut self, context: &mut MappingContext<'_>, current: &Keyframe, closed: &[bool]) {
+        let parameters = &context.config.parameters.gaussians;
+        let render = (!self.is_empty()).then(|| self.render_at_depth(context, current));
+        let (observation, curve) = (current.observation.get(), response_curve(context, current));
+        let source = source_frame(context, current, &observation, curve.as_ref(), render.as_ref());
+        let mut wanted = match &render {
+            Some(render) => unexplained_pixels(self.current.map.shape, &source, render),
+            None => {
+                let farthest = observation.depth.data.iter().copied().fold(0.0, f32::max);
+                self.max_scale =
+                    max_scale(self.current.map.shape, parameters, context.camera, farthest);
+                vec![true; observation.depth.data.len()]
+            }
+        };
+        wanted.iter_mut().zip(closed).for_each(|(wanted, closed)| *wanted &= !closed);
+        let is_keyframe = context.is_keyframe(current.frame);
+        let map = &mut self.current.map;
+        match map.shape {
+            Shape::Isotropic => push_balls(map, parameters, &source, &wanted),
+            Shape::Anisotropic => {
+                let (rectangles, bounds) =
+                    (partition(&source).rectangles(&wanted), &mut self.scale_bounds);
+                if let Some(render) = render.as_ref().filter(|_| is_keyframe) {
+                    source.surface(render).lower_bounds(map, bounds);
+                }
+                push_flat_gaussians(map, bounds, parameters, &source, &rectangles);
+            }
+        }
+        self.anchors.extend_to(self.current.map.len(), context.frames[current.frame].index);
+        self.enforce_capacity(context);
+    }
+
+    /// Marks the pixels of a keyframe that the map does not explain.
+    fn unexplained_by_map(
+        &mut self,
+        context: &MappingContext<'_>,
+        keyframe: &Keyframe,
+    ) -> Vec<bool> {
+        let render = self.render_at_depth(context, keyframe);
+        let (observation, curve) = (keyframe.observation.get(), response_curve(context, keyframe));
+        let source = source_frame(context, keyframe, &observation, curve.as_ref(), Some(&render));
+        unexplained_pixels(self.current.map.shape, &source, &render)
+    }
+
     /// Merges Gaussians of a map beyond its capacity, with room for the next frames.
     fn enforce_capacity(&mut self, context: &mut MappingContext<'_>) {
         let capacity = context.config.map.capacity;
@@ -238,34 +285,7 @@ impl Mapper for GaussianMapper {
         current: &Keyframe,
     ) -> Result<Growth, SettingsError> {
         let growth = if self.is_empty() { Growth::Started } else { Growth::Extended };
-        let parameters = &context.config.parameters.gaussians;
-        let render = (!self.is_empty()).then(|| self.render_at_depth(context, current));
-        let (observation, curve) = (current.observation.get(), response_curve(context, current));
-        let source = source_frame(context, current, &observation, curve.as_ref(), render.as_ref());
-        let wanted = match &render {
-            Some(render) => unexplained_pixels(self.current.map.shape, &source, render),
-            None => {
-                let farthest = observation.depth.data.iter().copied().fold(0.0, f32::max);
-                self.max_scale =
-                    max_scale(self.current.map.shape, parameters, context.camera, farthest);
-                vec![true; observation.depth.data.len()]
-            }
-        };
-        let is_keyframe = context.is_keyframe(current.frame);
-        let map = &mut self.current.map;
-        match map.shape {
-            Shape::Isotropic => push_balls(map, parameters, &source, &wanted),
-            Shape::Anisotropic => {
-                let (rectangles, bounds) =
-                    (partition(&source).rectangles(&wanted), &mut self.scale_bounds);
-                if let Some(render) = render.as_ref().filter(|_| is_keyframe) {
-                    source.surface(render).lower_bounds(map, bounds);
-                }
-                push_flat_gaussians(map, bounds, parameters, &source, &rectangles);
-            }
-        }
-        self.anchors.extend_to(self.current.map.len(), context.frames[current.frame].index);
-        self.enforce_capacity(context);
+        self.extend(context, current, &[]);
         Ok(growth)
     }
 
@@ -356,6 +376,23 @@ impl Mapper for GaussianMapper {
             self.current.map.retain(&keep);
             self.retain(&keep);
         }
+    }
+
+    fn replace_surface(
+        &mut self,
+        context: &mut MappingContext<'_>,
+        keyframe: &Keyframe,
+        depth: &Image<f32>,
+    ) {
+        let camera_from_world = context.frames[keyframe.frame].depth_pose().inverse();
+        let keep = outside_surface(&self.current.map, context.camera, camera_from_world, depth);
+        if !keep.contains(&false) {
+            return;
+        }
+        let was_open = self.unexplained_by_map(context, keyframe);
+        self.current.map.retain(&keep);
+        self.retain(&keep);
+        self.extend(context, keyframe, &was_open);
     }
 
     fn map(&self) -> Map {

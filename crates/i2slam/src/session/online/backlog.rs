@@ -15,14 +15,15 @@ pub(super) struct Backlog {
 
 #[derive(Default)]
 struct State {
-    jobs: VecDeque<WaitingJob>,
+    jobs: VecDeque<StoredJob>,
     /// True once no job comes, or nobody takes one.
     is_closed: bool,
 }
 
-/// A job without its pictures.
-struct WaitingJob {
-    job: Job,
+/// A job whose pictures may leave memory.
+pub(super) struct StoredJob {
+    /// Without pictures.
+    pub(super) job: Job,
     pictures: Stored<Pictures>,
     /// The picture of every place for one.
     places: Vec<usize>,
@@ -38,7 +39,7 @@ impl Backlog {
 
     /// Adds a job.
     pub(super) fn send(&self, job: Job) {
-        let job = WaitingJob::new(job, &self.scratch);
+        let job = StoredJob::new(job, &self.scratch);
         let mut state = self.state();
         if !state.is_closed {
             state.jobs.push_back(job);
@@ -86,8 +87,8 @@ impl Backlog {
     }
 }
 
-impl WaitingJob {
-    fn new(mut job: Job, scratch: &Arc<ScratchStore>) -> Self {
+impl StoredJob {
+    pub(super) fn new(mut job: Job, scratch: &Arc<ScratchStore>) -> Self {
         let none = Arc::new(Image::new(0, 0, 0));
         let (mut pictures, mut places): (Vec<Arc<Image<f32>>>, _) = (Vec::new(), Vec::new());
         for place in job.pictures() {
@@ -99,7 +100,7 @@ impl WaitingJob {
         Self { job, pictures: scratch.insert(Pictures(pictures)), places }
     }
 
-    fn with_pictures(mut self) -> Job {
+    pub(super) fn with_pictures(mut self) -> Job {
         let pictures = self.pictures.get();
         for (place, picture) in self.job.pictures().into_iter().zip(&self.places) {
             *place = Arc::clone(&pictures.0[*picture]);

@@ -1,22 +1,28 @@
 //! The thread that maps frames beside tracking, in the order in which the front end gave them.
 
 use super::super::{Session, SessionError};
-use super::backlog::Backlog;
+use super::backlog::{Backlog, StoredJob};
 use crate::keyframes::PosedKeyframe;
 use crate::keyframes::delivery::{depth, into_estimated, posed_view};
 use crate::reconstruction::{FrameEstimate, Reconstruction};
 use i2slam_compute::CancellationToken;
 use i2slam_geometry::{Image, Pose};
-use i2slam_odometry::{DenseDepthEstimator, DepthModel, Keyframe, KeyframePictures, MeasuredDepth};
-use std::collections::{BTreeMap, VecDeque};
+use i2slam_odometry::{
+    DenseDepthEstimator, DepthModel, Keyframe, KeyframePictures, MAX_KEYFRAME_DISTANCE,
+    MeasuredDepth,
+};
+use i2slam_storage::ScratchStore;
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 
 /// Keyframes whose pictures are kept: the reach of dense depth on either side.
 const KEPT_PICTURES: usize = 32;
-/// Keyframes after one that its depth is estimated with, where none is measured.
+/// Keyframes after a frame that its depth is estimated and checked with.
 const LATER_VIEWS: usize = 2;
+/// Frames with measured depth that wait for later keyframes at most: a camera at rest makes none.
+const MAX_WAITING: usize = 16;
 
 /// A piece of work, done in the order of sending.
 pub(super) enum Job {
@@ -39,6 +45,24 @@ impl Job {
             }
             Self::Between(job) => vec![&mut job.posed.colour, &mut job.measured.depth],
             Self::Correct(_) | Self::Restart => Vec::new(),
+        }
+    }
+
+    /// Its frame.
+    fn posed(&mut self) -> Option<&mut PosedKeyframe> {
+        match self {
+            Self::Keyframe(job) => Some(&mut job.posed),
+            Self::Between(job) => Some(&mut job.posed),
+            Self::Correct(_) | Self::Restart => None,
+        }
+    }
+
+    /// True for a frame with measured depth.
+    fn is_measured(&self) -> bool {
+        match self {
+            Self::Keyframe(job) => job.pictures.depth.is_some() && job.depth_model.is_some(),
+            Self::Between(_) => true,
+            Self::Correct(_) | Self::Restart => false,
         }
     }
 }
@@ -91,7 +115,8 @@ impl MappingQueue {
         let cancellation = &mut session.state.cancellation;
         *cancellation = asked_after_tracking(cancellation.clone(), tracking);
         let dense = dense_estimator(&session);
-        let jobs = Arc::new(Backlog::new(Arc::clone(&session.state.scratch)));
+        let scratch = Arc::clone(&session.state.scratch);
+        let jobs = Arc::new(Backlog::new(Arc::clone(&scratch)));
         let session = Arc::new(Mutex::new(session));
         let is_dropped = Arc::new(AtomicBool::new(false));
         let worker = Worker {
@@ -101,6 +126,8 @@ impl MappingQueue {
             keyframes: Vec::new(),
             pictures: BTreeMap::new(),
             waiting: VecDeque::new(),
+            scratch,
+            unrevised: BTreeSet::new(),
             errors: Vec::new(),
             on_mapped,
         };
@@ -194,8 +221,11 @@ struct Worker {
     keyframes: Vec<usize>,
     /// Pictures of the last keyframes, by their number.
     pictures: BTreeMap<usize, KeyframePictures>,
-    /// Keyframes that wait for later ones, with their numbers.
-    waiting: VecDeque<(usize, Box<KeyframeJob>)>,
+    /// Frames that wait for later keyframes, each with the number of the last keyframe up to it.
+    waiting: VecDeque<(usize, StoredJob)>,
+    scratch: Arc<ScratchStore>,
+    /// Numbers of keyframes whose measured depth was not yet compared with later pictures.
+    unrevised: BTreeSet<usize>,
     errors: Vec<SessionError>,
     on_mapped: OnMapped,
 }
@@ -211,15 +241,15 @@ impl Worker {
                 return self.errors;
             }
             match job {
-                Job::Keyframe(job) => self.add_keyframe(job),
-                Job::Between(job) => self.map_between(*job),
+                Job::Keyframe(_) | Job::Between(_) => self.add_frame(job),
                 Job::Correct(poses) => self.correct(&poses),
                 Job::Restart => self.restart(),
             }
         }
         while let Some((number, job)) = self.waiting.pop_front().filter(|_| !self.is_dropped()) {
-            self.map_keyframe(number, *job);
+            self.map_frame(number, job);
         }
+        self.revise_up_to(usize::MAX);
         self.errors
     }
 
@@ -229,6 +259,7 @@ impl Worker {
         self.keyframes.clear();
         self.pictures.clear();
         self.waiting.clear();
+        self.unrevised.clear();
         *self.session() = empty;
     }
 
@@ -240,33 +271,64 @@ impl Worker {
         locked(&self.session)
     }
 
-    /// Keeps the pictures of a keyframe, and maps it if its depth was measured; one without waits for
-    /// later ones, with which depth is estimated.
-    fn add_keyframe(&mut self, job: Box<KeyframeJob>) {
+    /// Keeps a frame, and maps those that have waited for enough later ones.
+    fn add_frame(&mut self, job: Job) {
         let number = self.keyframes.len();
-        self.keyframes.push(job.posed.index);
-        self.dense.add_view(posed_view(&job.keyframe), job.depth_model.clone());
-        self.pictures.insert(number, job.pictures.clone());
-        self.pictures.retain(|known, _| known + KEPT_PICTURES > number);
-        let is_measured = job.pictures.depth.is_some() && job.depth_model.is_some();
-        self.waiting.push_back((number, job));
-        let ahead = if is_measured { 0 } else { LATER_VIEWS };
-        while self.waiting.front().is_some_and(|(first, _)| first + ahead <= number) {
+        if let Job::Keyframe(added) = &job {
+            self.keyframes.push(added.posed.index);
+            self.dense.add_view(posed_view(&added.keyframe), added.depth_model.clone());
+            self.pictures.insert(number, added.pictures.clone());
+            self.pictures.retain(|known, _| known + KEPT_PICTURES > number);
+            if job.is_measured() {
+                self.unrevised.insert(number);
+            }
+        }
+        let Some(number) = self.keyframes.len().checked_sub(1) else { return };
+        self.waiting.push_back((number, StoredJob::new(job, &self.scratch)));
+        let is_due = |(last, waiting): &(usize, StoredJob), count: usize| {
+            last + LATER_VIEWS <= number || (count > MAX_WAITING && waiting.job.is_measured())
+        };
+        while self.waiting.front().is_some_and(|first| is_due(first, self.waiting.len())) {
             let Some((number, job)) = self.waiting.pop_front() else { return };
-            self.map_keyframe(number, *job);
+            self.map_frame(number, job);
+        }
+        if let Some(settled) = number.checked_sub(MAX_KEYFRAME_DISTANCE) {
+            self.revise_up_to(settled);
+        }
+    }
+
+    /// Revises the depth of keyframes up to a number, which was measured, with the pictures of those
+    /// around them.
+    fn revise_up_to(&mut self, last: usize) {
+        while self.unrevised.first().is_some_and(|first| *first <= last) && !self.is_dropped() {
+            let Some(number) = self.unrevised.pop_first() else { return };
+            let pictures = &self.pictures;
+            let dense = self.dense.estimate(number, &mut |k| pictures.get(&k).cloned());
+            let Some(mut dense) = dense else { continue };
+            let Some(contradicted) = dense.contradicted.take() else { continue };
+            let index = self.keyframes[number];
+            self.session().revise_depth(index, into_estimated(dense), &contradicted);
+        }
+    }
+
+    fn map_frame(&mut self, number: usize, job: StoredJob) {
+        match job.with_pictures() {
+            Job::Keyframe(job) => self.map_keyframe(number, *job),
+            Job::Between(job) => self.map_between(number, *job),
+            Job::Correct(_) | Job::Restart => {}
         }
     }
 
     fn map_keyframe(&mut self, number: usize, job: KeyframeJob) {
         let pictures = &self.pictures;
-        let dense = self.dense.estimate(number, &mut |k| pictures.get(&k).cloned());
+        let mut load = |k: usize| pictures.get(&k).cloned();
+        let dense = self.dense.estimate(number, &mut load);
         let size = (job.posed.colour.width, job.posed.colour.height);
         let depth = Some(depth(dense, &job.keyframe, size));
         self.map(PosedKeyframe { depth, ..job.posed }, (job.readout, job.steps));
     }
 
-    fn map_between(&mut self, job: BetweenJob) {
-        let Some(near) = self.keyframes.len().checked_sub(1) else { return };
+    fn map_between(&mut self, near: usize, job: BetweenJob) {
         let pictures = &self.pictures;
         let mut load = |k: usize| pictures.get(&k).cloned();
         let pose = job.posed.world_from_camera;
@@ -298,12 +360,12 @@ impl Worker {
                 self.dense.set_pose(number, *pose);
             }
         }
-        for (_, job) in &mut self.waiting {
-            let Some(now) = poses.get(&job.posed.index) else { continue };
-            let moved = *now * job.posed.world_from_camera.inverse();
-            let neighbours = job.posed.before.iter_mut().chain(&mut job.posed.after);
+        for posed in self.waiting.iter_mut().filter_map(|(_, waiting)| waiting.job.posed()) {
+            let Some(now) = poses.get(&posed.index) else { continue };
+            let moved = *now * posed.world_from_camera.inverse();
+            let neighbours = posed.before.iter_mut().chain(&mut posed.after);
             neighbours.for_each(|(_, pose)| *pose = moved * *pose);
-            job.posed.world_from_camera = *now;
+            posed.world_from_camera = *now;
         }
         self.session().correct(poses);
     }

@@ -1,0 +1,120 @@
+//! Readings that pictures contradict: where a surface reflects or lets through, neighbours show what
+//! lies behind it.
+//!
+//! Two views that have read the same surface show the same there, unless it is a mirror, polished, or
+//! a pane. The evidence against a reading is the logarithm of the ratio of matching costs by readings
+//! and by swept depth, where the two differ; costs are proportional to the variance of what a match
+//! leaves. Windows that a neighbour does not see in full say nothing: beside edges a sweep finds the
+//! nearer surface.
+
+use super::depth_filter::{MAX_READING_DEVIATIONS, other_reading, square_filter};
+use super::inverse_depth::{HALF_WINDOWS, InverseDepthEstimate, MIN_COST};
+use super::plane_sweep::{PlaneSweep, write_window_means};
+use i2slam_geometry::{Camera, Pose};
+use rayon::prelude::*;
+
+/// Half the sides of the squares that evidence is averaged over [px]: the smallest that has some
+/// decides.
+const HALF_SQUARES: [usize; 3] = [8, 16, 32];
+/// Ratio of costs by which readings must be worse than swept depth, where they differ, to outweigh as
+/// many that agree with it.
+const MIN_COST_RATIO: f32 = 1.5;
+
+/// Evidence against the reading of every pixel, above 0 where it is contradicted. `confirmed` tells for
+/// each neighbour of `sweep` which readings it has read as well.
+pub(super) fn evidence_against(
+    sweep: &PlaneSweep<'_>,
+    readings: &InverseDepthEstimate,
+    swept: &InverseDepthEstimate,
+    confirmed: &[Vec<bool>],
+) -> Vec<f32> {
+    let size = (readings.inverse_depth.width, readings.inverse_depth.height);
+    let costs = CostComparison::new(sweep, (readings, swept), confirmed);
+    let single: Vec<f32> = (0..readings.inverse_depth.data.len())
+        .map(|pixel| match costs.at(pixel) {
+            None => 0.0,
+            Some(_) if agree(readings, swept, pixel) => -MIN_COST_RATIO.ln(),
+            Some([read, swept]) => (read.max(MIN_COST) / swept.max(MIN_COST)).ln(),
+        })
+        .collect();
+    let (mut out, mut rows, mut means) = (vec![0.0; single.len()], Vec::new(), Vec::new());
+    for half in HALF_SQUARES {
+        write_window_means(&single, size, half, &mut rows, &mut means);
+        let open = out.iter_mut().zip(&means).filter(|(out, _)| **out == 0.0);
+        open.for_each(|(out, mean)| *out = *mean);
+    }
+    out
+}
+
+/// Adds the evidence against readings of another view (with `other_from_own`) to that of pixels that
+/// have read the same surface.
+pub(super) fn add_evidence_of(
+    camera: &Camera<f64>,
+    own: &InverseDepthEstimate,
+    (other, other_from_own): (&InverseDepthEstimate, Pose<f64>),
+    evidence: &[f32],
+    total: &mut [f32],
+) {
+    let known = total.par_iter_mut().enumerate();
+    let known = known.filter(|(pixel, _)| own.inverse_depth.data[*pixel] > 0.0);
+    known.for_each(|(pixel, total)| {
+        let there = other_reading(camera, own, pixel, other, &other_from_own);
+        *total += there.filter(|there| there.agrees).map_or(0.0, |there| evidence[there.pixel]);
+    });
+}
+
+/// Matching costs by readings and by swept depth, in neighbours that have read the same surface.
+struct CostComparison<'a> {
+    swept: &'a InverseDepthEstimate,
+    /// For each neighbour.
+    costs: Vec<[Vec<f32>; 2]>,
+    /// 1 where all pixels of a window are confirmed, 0 elsewhere, for each neighbour.
+    whole_windows: Vec<Vec<f32>>,
+}
+
+impl<'a> CostComparison<'a> {
+    fn new(
+        sweep: &PlaneSweep<'_>,
+        (readings, swept): (&InverseDepthEstimate, &'a InverseDepthEstimate),
+        confirmed: &[Vec<bool>],
+    ) -> Self {
+        let size = (readings.inverse_depth.width, readings.inverse_depth.height);
+        let read = &readings.inverse_depth.data;
+        let or_read = |(swept, read): (&f32, &f32)| if *swept > 0.0 { *swept } else { *read };
+        let completed: Vec<f32> = swept.inverse_depth.data.iter().zip(read).map(or_read).collect();
+        let (by_readings, by_sweep) =
+            (sweep.neighbour_costs(read), sweep.neighbour_costs(&completed));
+        let whole_windows = |seen: &Vec<bool>| {
+            let seen: Vec<f32> = seen.iter().map(|is| f32::from(u8::from(*is))).collect();
+            square_filter(&seen, size, HALF_WINDOWS[0], f32::min)
+        };
+        Self {
+            swept,
+            costs: by_readings.into_iter().zip(by_sweep).map(|(a, b)| [a, b]).collect(),
+            whole_windows: confirmed.iter().map(whole_windows).collect(),
+        }
+    }
+
+    /// Mean costs by reading and by swept depth of a pixel; `None` where no neighbour tells.
+    fn at(&self, pixel: usize) -> Option<[f32; 2]> {
+        let (mut sums, mut views) = ([0.0; 2], 0.0);
+        for (costs, whole) in self.costs.iter().zip(&self.whole_windows) {
+            let both = [costs[0][pixel], costs[1][pixel]];
+            if whole[pixel] > 0.0 && both.iter().all(|cost| *cost <= 1.0) {
+                sums.iter_mut().zip(both).for_each(|(sum, cost)| *sum += cost);
+                views += 1.0;
+            }
+        }
+        (views > 0.0 && self.swept.is_known(pixel)).then(|| sums.map(|sum| sum / views))
+    }
+}
+
+/// True if reading and swept depth of a pixel are of one surface.
+pub(super) fn agree(
+    readings: &InverseDepthEstimate,
+    swept: &InverseDepthEstimate,
+    pixel: usize,
+) -> bool {
+    let [a, b] = [readings, swept].map(|e| (e.inverse_depth.data[pixel], e.variance.data[pixel]));
+    (a.0 - b.0).abs() <= MAX_READING_DEVIATIONS * (a.1 + b.1).sqrt()
+}
