@@ -88,8 +88,10 @@ impl LiveViewer {
     /// A pose as it is known when its frame has come.
     pub(crate) fn add_pose(&self, pose: &StampedPose) {
         let mut shown = self.shown();
-        shown.poses.push(*pose);
-        shown.version += 1;
+        if !shown.has_map_of_its_own() {
+            shown.poses.push(*pose);
+            shown.version += 1;
+        }
     }
 
     /// Shows the map of now, if a copy is due.
@@ -159,11 +161,16 @@ impl Shown {
             // A page draws no hash grid: its path alone.
             run.map = Map::default();
         }
-        // By colour alone a map is made after the last frame, in a unit of its own.
-        if run.config.is_rgb() {
+        self.show(run);
+        if self.has_map_of_its_own() {
             self.poses.clear();
         }
-        self.show(run);
+    }
+
+    /// True if a map by colour alone is shown, which has a unit of its own.
+    fn has_map_of_its_own(&self) -> bool {
+        let run = self.run.as_ref().filter(|run| !run.frames.is_empty());
+        run.is_some_and(|run| run.config.is_rgb())
     }
 
     fn is_watched(&self, now: Instant) -> bool {

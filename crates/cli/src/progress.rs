@@ -227,6 +227,10 @@ impl Observer for Progress {
         self.live.iter().for_each(|live| live.show(current));
     }
 
+    fn follows_map(&self) -> bool {
+        self.live.is_some()
+    }
+
     fn pose(&self, pose: &StampedPose) {
         self.live.iter().for_each(|live| live.add_pose(pose));
         self.poses.iter().for_each(|lines| lines.add(pose));

@@ -1,10 +1,14 @@
 //! Runs that map frames while they come, on the first pictures of the demo clip.
 
 use i2slam::dataset::Sequence;
+use i2slam::keyframes::Stage as OdometryStage;
 use i2slam::run::Stage;
-use i2slam::{CancellationToken, FrameEstimate, Observer, RunOptions, RunOutcome, reconstruct};
+use i2slam::{
+    CancellationToken, Config, FrameEstimate, Map, Observer, Reconstruction, RunOptions,
+    RunOutcome, reconstruct,
+};
 use std::path::Path;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
@@ -156,4 +160,52 @@ fn held_out_frames_are_drawn_once() {
     assert_eq!(held_out.map(|frame| frame.index).collect::<Vec<_>>(), [4, 8, 12]);
     let mapped = recorder.frames.lock().expect("done");
     assert!(mapped.iter().all(|(index, ..)| ![4, 8, 12].contains(index)), "{mapped:?}");
+}
+
+/// Follows the map; counts copies with Gaussians that were had while frames came.
+#[derive(Clone, Default)]
+struct Follower {
+    maps: Arc<AtomicUsize>,
+    is_tracking: Arc<AtomicBool>,
+    follows: bool,
+}
+
+impl Observer for Follower {
+    fn progress(&self, stage: Stage, done: usize, total: usize) {
+        let tracking = matches!(stage, Stage::Odometry(OdometryStage::Tracking { .. }));
+        self.is_tracking.store(tracking && done < total, Ordering::SeqCst);
+    }
+
+    fn map(&self, current: &dyn Fn() -> Reconstruction) {
+        let counts = self.is_tracking.load(Ordering::SeqCst) && current().map.gaussians() > 100;
+        self.maps.fetch_add(usize::from(counts), Ordering::SeqCst);
+    }
+
+    fn follows_map(&self) -> bool {
+        self.follows
+    }
+}
+
+/// By colour alone a map is shown while frames come to those who follow it, and nothing else changes.
+#[test]
+fn a_map_by_colour_alone_can_be_followed() {
+    let mut options = options();
+    options.poses = RunOptions::colour_alone().poses;
+    options.config = Config { mapping: options.config.mapping, ..Config::default_rgb() };
+    (options.open.frames, options.open.max_side) = (Some(0..24), Some(120));
+    let outcome = |follows: bool| {
+        let follower = Follower { follows, ..Follower::default() };
+        let found = reconstruct(&sequence(&options), &options, follower.clone()).expect("a path");
+        (follower.maps.load(Ordering::SeqCst), found.reconstruction)
+    };
+    let ((none, alone), (some, followed)) = (outcome(false), outcome(true));
+    assert!(none == 0 && some > 0, "{none} and {some} maps");
+    let poses = |found: &Reconstruction| -> Vec<_> {
+        found.frames.iter().map(FrameEstimate::middle).collect()
+    };
+    assert_eq!(poses(&alone), poses(&followed));
+    let (Map::Gaussians(alone), Map::Gaussians(followed)) = (&alone.map, &followed.map) else {
+        panic!("maps of Gaussians")
+    };
+    assert_eq!(alone.means, followed.means);
 }

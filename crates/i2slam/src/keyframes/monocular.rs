@@ -77,7 +77,7 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
         mut load: L,
         progress: &OdometryProgress,
     ) -> Result<Self, MonocularError> {
-        TrackedPictures::track(intrinsics, count, &mut load, progress, |_| {})
+        TrackedPictures::track(intrinsics, count, &mut load, progress, |_, _, _| {})
             .finish(load, progress)
     }
 

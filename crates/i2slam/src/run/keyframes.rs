@@ -7,6 +7,7 @@ use super::error::RunError;
 use super::forecast::Forecaster;
 use super::observer::{Observer, RunContext, Stage};
 use super::online;
+use super::preview::MapPreview;
 use super::stream::TrackedFrames;
 use crate::config::{MapKind, TrackingMethod};
 use crate::keyframes::{
@@ -19,7 +20,7 @@ use crate::warning::Warning;
 use i2slam_dataset::import::ImportedKeyframes;
 use i2slam_dataset::{DepthPicture, Frame, Sequence};
 use i2slam_geometry::{Pose, StampedPose};
-use i2slam_odometry::PoseDeviation;
+use i2slam_odometry::{FrameUpdate, FrontEnd, PoseDeviation};
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::{Arc, Mutex};
@@ -157,9 +158,15 @@ fn find_path(
         tracked
     } else {
         let load = |place: usize| picture(&large, place);
-        let on_pose = |pose: &StampedPose| context.observer.pose(pose);
+        let mut preview = MapPreview::start(sequence, options, context);
+        let on_tracked = |front_end: &FrontEnd, update: &FrameUpdate, tracked: &Frame| {
+            stamped_pose(update, tracked).iter().for_each(|pose| context.observer.pose(pose));
+            if let Some(preview) = &mut preview {
+                preview.add_from_file(front_end, update, tracked);
+            }
+        };
         let intrinsics = intrinsics(&large, estimate_distortion);
-        TrackedPictures::track(intrinsics, count, load, &progress, on_pose)
+        TrackedPictures::track(intrinsics, count, load, &progress, on_tracked)
     };
     let load: BoxedLoader = Box::new(move |place| picture(&large, place));
     match tracked.finish(load, &progress) {
@@ -169,6 +176,12 @@ fn find_path(
         }
         Err(error) => Err(RunError::NoPath(error)),
     }
+}
+
+/// Pose and time stamp of a frame, where the pose is known when it comes.
+pub(super) fn stamped_pose(update: &FrameUpdate, frame: &Frame) -> Option<StampedPose> {
+    let timestamp = frame.timestamp;
+    update.pose.map(|world_from_camera| StampedPose { timestamp, world_from_camera })
 }
 
 /// Intrinsics of a sequence: known, or a guess that is adjusted.

@@ -19,6 +19,7 @@ mod keyframes;
 mod memory;
 mod observer;
 mod online;
+mod preview;
 mod shortfall;
 mod stream;
 

@@ -65,6 +65,13 @@ pub trait Observer: Send + Sync {
     /// everything estimated so far, and the map waits for that alone.
     fn map(&self, _current: &dyn Fn() -> Reconstruction) {}
 
+    /// True if the map is wanted while frames come, also where that of the result is made after the
+    /// last one: it is made beside them then, for [`map`](Self::map) alone, which takes time and changes
+    /// nothing else. False by default.
+    fn follows_map(&self) -> bool {
+        false
+    }
+
     /// The pose of a frame as it is known when the frame has come, in the world of the first keyframe:
     /// by visual odometry, or by the map where that is the source of poses. The unit of length is the
     /// metre where depth is measured, and arbitrary by colour alone. Frames without a pose so far are

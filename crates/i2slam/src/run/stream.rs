@@ -1,13 +1,15 @@
 //! Streams: frames are tracked while they come. Those with depth are mapped, too; others are mapped
 //! when the stream has ended.
 
-use super::keyframes::{ODOMETRY_SIDE, intrinsics};
+use super::keyframes::{ODOMETRY_SIDE, intrinsics, stamped_pose};
 use super::observer::{Observer, RunContext, Stage};
 use super::online::{self, OnlineFrames};
+use super::preview::MapPreview;
 use super::{PoseSource, RunError, RunOptions, has_small_pictures};
 use crate::keyframes::{self, GivenPictures, TrackedPictures};
 use i2slam_dataset::{Frame, LiveSequence, Sequence};
 use i2slam_geometry::StampedPose;
+use std::sync::PoisonError;
 
 /// A stream whose frames were tracked while they came.
 ///
@@ -70,8 +72,12 @@ impl TrackedStream {
             }
             false => TrackedFrames::Unmapped(Box::new(TrackedPictures::new(camera))),
         };
+        let mut preview = match is_mapped {
+            true => None,
+            false => MapPreview::start(first, options, &context),
+        };
         // Decoded twice where the map is made of smaller pictures.
-        let is_one_size = !is_mapped || large.camera == first.camera;
+        let is_one_size = (!is_mapped && preview.is_none()) || large.camera == first.camera;
         let mut smaller = if is_one_size { None } else { Some(live.frames(first)?) };
         let mut timestamps = Vec::new();
         for (position, tracked) in live.frames(&large)?.enumerate() {
@@ -83,7 +89,7 @@ impl TrackedStream {
             // One of the two went on without its depth: what was recorded has it.
             let Some(mapped) = mapped else { break };
             timestamps.push(stamps);
-            let pose = frames.push(position, (tracked, mapped));
+            let pose = frames.push(position, (tracked, mapped), preview.as_mut());
             pose.iter().for_each(|pose| context.observer.pose(pose));
             context.observer.progress(frames.stage(), position + 1, 0);
         }
@@ -112,11 +118,26 @@ fn timestamps_of(frame: &Frame) -> (f64, Option<f64>) {
 }
 
 impl TrackedFrames {
-    fn push(&mut self, position: usize, sizes: (Frame, Frame)) -> Option<StampedPose> {
-        match self {
-            Self::Unmapped(pictures) => pictures.push(position, &sizes.0),
-            Self::Mapped(frames) => frames.push(position, sizes),
-        }
+    fn push(
+        &mut self,
+        position: usize,
+        (tracked, mapped): (Frame, Frame),
+        preview: Option<&mut MapPreview<'_>>,
+    ) -> Option<StampedPose> {
+        let pictures = match self {
+            Self::Unmapped(pictures) => pictures,
+            Self::Mapped(frames) => return frames.push(position, (tracked, mapped)),
+        };
+        let tracking = preview.as_ref().map(|preview| preview.tracking());
+        let _held = tracking.as_ref().map(|t| t.lock().unwrap_or_else(PoisonError::into_inner));
+        let mut pose = None;
+        pictures.push(position, &tracked, |front_end, update| {
+            pose = stamped_pose(update, &tracked);
+            if let Some(preview) = preview {
+                preview.add(front_end, update, mapped);
+            }
+        });
+        pose
     }
 
     fn given(&self) -> &GivenPictures {

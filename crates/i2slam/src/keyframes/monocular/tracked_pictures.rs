@@ -3,9 +3,9 @@
 use super::super::PictureError;
 use super::{MonocularError, MonocularSource, in_usual_unit};
 use i2slam_dataset::Frame;
-use i2slam_geometry::StampedPose;
 use i2slam_odometry::{
-    DepthPicture, FrontEnd, Intrinsics, OdometryError, Progress as OdometryProgress, Stage,
+    DepthPicture, FrameUpdate, FrontEnd, Intrinsics, OdometryError, Progress as OdometryProgress,
+    Stage,
 };
 
 /// Positions of pictures that a front end was given.
@@ -61,38 +61,41 @@ impl TrackedPictures {
     }
 
     /// Tracks `count` pictures, until `progress` is cancelled: `load` reads the one at a position,
-    /// `on_pose` sees every pose that is known when its picture comes.
+    /// `on_tracked` sees what the front end makes of it.
     pub(crate) fn track(
         intrinsics: Intrinsics,
         count: usize,
         mut load: impl FnMut(usize) -> Result<Frame, PictureError>,
         progress: &OdometryProgress,
-        mut on_pose: impl FnMut(&StampedPose),
+        mut on_tracked: impl FnMut(&FrontEnd, &FrameUpdate, &Frame),
     ) -> Self {
         let mut tracked = Self::new(intrinsics);
         let given = GivenPictures::give(count, progress, |position| {
-            let (is_keyframe, pose) = tracked.track_next(&load(position)?)?;
-            pose.iter().for_each(&mut on_pose);
-            Ok(is_keyframe)
+            let picture = load(position)?;
+            let update = tracked.track_next(&picture)?;
+            on_tracked(&tracked.front_end, &update, &picture);
+            Ok(update.is_keyframe)
         });
         Self { given, ..tracked }
     }
 
-    /// Tracks the picture at a position; returns its pose, where it is known. One that does not fit is
-    /// refused.
-    pub(crate) fn push(&mut self, position: usize, picture: &Frame) -> Option<StampedPose> {
+    /// Tracks the picture at a position. One that does not fit is refused.
+    pub(crate) fn push(
+        &mut self,
+        position: usize,
+        picture: &Frame,
+        on_tracked: impl FnOnce(&FrontEnd, &FrameUpdate),
+    ) {
         let tracked = self.track_next(picture);
-        let pose = tracked.as_ref().ok().and_then(|(_, pose)| *pose);
-        self.given.add(position, tracked.map(|(is_keyframe, _)| is_keyframe));
-        pose
+        if let Ok(update) = &tracked {
+            on_tracked(&self.front_end, update);
+        }
+        self.given.add(position, tracked.map(|update| update.is_keyframe));
     }
 
-    fn track_next(&mut self, picture: &Frame) -> Result<(bool, Option<StampedPose>), PictureError> {
-        let (depth, timestamp) = (depth_picture(picture), picture.timestamp);
-        let update = self.front_end.push(&picture.colour, timestamp, depth.as_ref())?;
-        let pose =
-            update.pose.map(|world_from_camera| StampedPose { timestamp, world_from_camera });
-        Ok((update.is_keyframe, pose))
+    fn track_next(&mut self, picture: &Frame) -> Result<FrameUpdate, PictureError> {
+        let depth = depth_picture(picture);
+        Ok(self.front_end.push(&picture.colour, picture.timestamp, depth.as_ref())?)
     }
 
     /// Finds the path of all pictures; `load` reads those of keyframes again, in order.

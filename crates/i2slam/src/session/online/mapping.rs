@@ -108,7 +108,7 @@ impl Gauge {
 
 impl OnlineMapping {
     /// Maps with a session on keyframes with poses, in steps that wait while `tracking` is held.
-    pub(super) fn new(mut session: Session, tracking: Arc<Mutex<()>>, on_mapped: OnMapped) -> Self {
+    pub(crate) fn new(mut session: Session, tracking: Arc<Mutex<()>>, on_mapped: OnMapped) -> Self {
         session.keep_world();
         let (width, height) = (session.camera.width, session.camera.height);
         Self {
@@ -136,13 +136,13 @@ impl OnlineMapping {
     }
 
     /// Waits until at most so many jobs wait for the map.
-    pub(super) fn wait_for_map(&self, waiting: usize) {
+    pub(crate) fn wait_for_map(&self, waiting: usize) {
         self.queue.wait_for(waiting);
     }
 
     /// Takes the last frame of the front end, whose picture has the size of those that are mapped.
     /// Returns the poses that changed since the last call, by the index of their frames.
-    pub(super) fn add_frame(
+    pub(crate) fn add_frame(
         &mut self,
         front_end: &FrontEnd,
         update: &FrameUpdate,

@@ -1,0 +1,101 @@
+//! A map by colour alone while frames come, for those who follow the run. That of the result is made
+//! after the last frame, when depth is estimated with the final poses.
+
+use super::RunOptions;
+use super::driver::{KEYFRAMES, new_session};
+use super::observer::{Observer, RunContext};
+use crate::config::{MapKind, TrackingMethod};
+use crate::session::OnlineMapping;
+use i2slam_dataset::{Frame, Sequence};
+use i2slam_geometry::Camera;
+use i2slam_odometry::{FrameUpdate, FrontEnd};
+use std::sync::{Arc, Mutex};
+
+/// Relative change of the focal length from which on a map begins anew.
+const MAX_FOCAL_CHANGE: f64 = 0.02;
+
+/// Frames of a file that wait for the map at most.
+const MAX_WAITING: usize = 8;
+
+/// Maps frames beside a front end, which it never changes.
+pub(super) struct MapPreview<'a> {
+    sequence: &'a Sequence,
+    options: &'a RunOptions,
+    context: &'a RunContext,
+    mapping: OnlineMapping,
+    /// Of the pictures that are mapped.
+    camera: Camera<f64>,
+    /// Held while a frame is tracked.
+    tracking: Arc<Mutex<()>>,
+}
+
+impl<'a> MapPreview<'a> {
+    /// Of frames in the size and with the mask of `sequence`; none if nobody follows the map, or if it
+    /// is no map of Gaussians that a front end gives the poses of.
+    pub(super) fn start(
+        sequence: &'a Sequence,
+        options: &'a RunOptions,
+        context: &'a RunContext,
+    ) -> Option<Self> {
+        let config = &options.config;
+        let is_possible = context.observer.follows_map()
+            && config.tracking.method == TrackingMethod::SecondOrder
+            && config.map.kind == MapKind::Gaussian;
+        is_possible.then(|| {
+            let (camera, tracking) = (sequence.camera, Arc::<Mutex<()>>::default());
+            let mapping = mapping((sequence, camera), (options, context), &tracking);
+            Self { sequence, options, context, mapping, camera, tracking }
+        })
+    }
+
+    /// What the map waits for while it is locked.
+    pub(super) fn tracking(&self) -> Arc<Mutex<()>> {
+        Arc::clone(&self.tracking)
+    }
+
+    /// Takes the last frame of the front end, in the size that is mapped.
+    pub(super) fn add(&mut self, front_end: &FrontEnd, update: &FrameUpdate, picture: Frame) {
+        let (width, height) = (self.camera.width, self.camera.height);
+        let camera = front_end.path_so_far(None).resized(width, height).camera;
+        if (camera.fx / self.camera.fx).ln().abs() > MAX_FOCAL_CHANGE {
+            self.camera = camera;
+            self.mapping =
+                mapping((self.sequence, camera), (self.options, self.context), &self.tracking);
+        }
+        self.mapping.add_frame(front_end, update, picture);
+    }
+
+    /// [`add`](Self::add) of a frame of the sequence as it was tracked; waits while many wait for the
+    /// map.
+    pub(super) fn add_from_file(
+        &mut self,
+        front_end: &FrontEnd,
+        update: &FrameUpdate,
+        tracked: &Frame,
+    ) {
+        let is_one_size = tracked.colour.width == self.camera.width;
+        let place = self.sequence.entries.iter().position(|entry| entry.index == tracked.index);
+        let mapped = match (is_one_size, place) {
+            (true, _) => Ok(tracked.clone()),
+            (false, Some(place)) => self.sequence.load(place),
+            (false, None) => return,
+        };
+        // One that cannot be read is told where the result is made.
+        let Ok(mapped) = mapped else { return };
+        self.add(front_end, update, mapped);
+        self.mapping.wait_for_map(MAX_WAITING);
+    }
+}
+
+/// A map without frames that shows itself to the observer.
+fn mapping(
+    (sequence, camera): (&Sequence, Camera<f64>),
+    (options, context): (&RunOptions, &RunContext),
+    tracking: &Arc<Mutex<()>>,
+) -> OnlineMapping {
+    let source = ((camera, sequence.frame_rate), sequence);
+    let session = new_session(&KEYFRAMES, options, context, source);
+    let observer: Arc<dyn Observer> = Arc::clone(&context.observer);
+    let on_mapped = Box::new(move |_: &_, current: &dyn Fn() -> _| observer.map(current));
+    OnlineMapping::new(session, Arc::clone(tracking), on_mapped)
+}
