@@ -158,7 +158,8 @@ fn find_path(
         tracked
     } else {
         let load = |place: usize| picture(&large, place);
-        let mut preview = MapPreview::start(sequence, options, context);
+        let mut preview =
+            MapPreview::start((sequence, sequence.frames_with_depth() > 0), options, context);
         let on_tracked = |front_end: &FrontEnd, update: &FrameUpdate, tracked: &Frame| {
             stamped_pose(update, tracked).iter().for_each(|pose| context.observer.pose(pose));
             if let Some(preview) = &mut preview {

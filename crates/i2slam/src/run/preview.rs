@@ -30,15 +30,18 @@ pub(super) struct MapPreview<'a> {
 }
 
 impl<'a> MapPreview<'a> {
-    /// Of frames in the size and with the mask of `sequence`; none if nobody follows the map, or if it
-    /// is no map of Gaussians that a front end gives the poses of.
+    /// Of frames in the size and with the mask of `sequence`; none if nobody follows the map, if it is no
+    /// map of Gaussians that a front end gives the poses of, or if these are known after the last frame
+    /// alone, as with depth of a camera that is guessed.
     pub(super) fn start(
-        sequence: &'a Sequence,
+        (sequence, has_depth): (&'a Sequence, bool),
         options: &'a RunOptions,
         context: &'a RunContext,
     ) -> Option<Self> {
         let config = &options.config;
+        let is_late = options.poses.uses_depth() && has_depth && sequence.camera_is_guess;
         let is_possible = context.observer.follows_map()
+            && !is_late
             && config.tracking.method == TrackingMethod::SecondOrder
             && config.map.kind == MapKind::Gaussian;
         is_possible.then(|| {
@@ -56,11 +59,19 @@ impl<'a> MapPreview<'a> {
     /// Takes the last frame of the front end, in the size that is mapped.
     pub(super) fn add(&mut self, front_end: &FrontEnd, update: &FrameUpdate, picture: Frame) {
         let (width, height) = (self.camera.width, self.camera.height);
-        let camera = front_end.path_so_far(None).resized(width, height).camera;
-        if (camera.fx / self.camera.fx).ln().abs() > MAX_FOCAL_CHANGE {
+        let camera =
+            |front_end: &FrontEnd| front_end.path_so_far(None).resized(width, height).camera;
+        // The focal length is adjusted with keyframes.
+        let found = update.is_keyframe.then(|| camera(front_end));
+        let is_other =
+            |camera: &Camera<f64>| (camera.fx / self.camera.fx).ln().abs() > MAX_FOCAL_CHANGE;
+        if let Some(camera) = found.filter(is_other) {
             self.camera = camera;
-            self.mapping =
+            let anew =
                 mapping((self.sequence, camera), (self.options, self.context), &self.tracking);
+            let outdated = std::mem::replace(&mut self.mapping, anew);
+            // Its thread ends after its present step, which may wait for the end of this call.
+            std::thread::spawn(move || drop(outdated));
         }
         self.mapping.add_frame(front_end, update, picture);
     }

@@ -74,7 +74,7 @@ impl TrackedStream {
         };
         let mut preview = match is_mapped {
             true => None,
-            false => MapPreview::start(first, options, &context),
+            false => MapPreview::start((first, live.has_depth()), options, &context),
         };
         // Decoded twice where the map is made of smaller pictures.
         let is_one_size = (!is_mapped && preview.is_none()) || large.camera == first.camera;

@@ -70,8 +70,13 @@ pub(super) fn fuse_consistent(
 
 /// Largest difference of consistent readings: in standard deviations of both, and relative to them,
 /// for what lies between the pixels of a slanted surface.
-pub(super) const MAX_READING_DEVIATIONS: f32 = 3.0;
+const MAX_READING_DEVIATIONS: f32 = 3.0;
 const MAX_READING_DIFFERENCE: f32 = 0.005;
+
+/// Largest difference of inverse depths of one surface, with the variance of their difference.
+pub(super) fn largest_difference(variance: f32, inverse_depth: f32) -> f32 {
+    (MAX_READING_DEVIATIONS * variance.sqrt()).max(MAX_READING_DIFFERENCE * inverse_depth)
+}
 
 /// Averages the inverse depths of a sensor with the readings of `others` (with
 /// `other_from_keyframe`) by variance, interpolated where they show one surface. A reading that all
@@ -149,12 +154,12 @@ pub(super) fn other_reading(
     // The same error of the depth: `dz = -dρ/ρ²` in both.
     let slope = (rho / due).powi(2);
     let its = tap.interpolate(tap.values(&other.variance.data)).0 * slope * slope;
-    let most = MAX_READING_DEVIATIONS * (variance + its).sqrt() / slope;
+    let most = largest_difference((variance + its) / (slope * slope), due);
     Some(OtherReading {
         inverse_depth: rho + (found - due) * slope,
         variance: its,
         pixel: y as usize * width + x as usize,
-        agrees: (found - due).abs() <= most.max(MAX_READING_DIFFERENCE * due),
+        agrees: (found - due).abs() <= most,
     })
 }
 

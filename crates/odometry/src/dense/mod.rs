@@ -28,7 +28,7 @@ use picture_check::{add_evidence_of, agree, evidence_against};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// Distance of matched keyframes in their order.
+/// Largest difference between the numbers of a keyframe and of those it is matched with.
 pub const MAX_KEYFRAME_DISTANCE: usize = 8;
 /// Keyframes that one is matched with, and compared with for consistency.
 const MAX_VIEWS: usize = 5;
@@ -92,6 +92,8 @@ pub struct DenseDepthEstimator {
     views: Vec<PosedView>,
     pictures: BTreeMap<usize, Option<Pyramid>>,
     estimates: BTreeMap<usize, InverseDepthEstimate>,
+    /// Keyframes that each of them was matched with.
+    matched: BTreeMap<usize, Vec<usize>>,
     /// Model of the sensor, and the readings of keyframes that have some.
     depth_model: Option<DepthModel>,
     measured: BTreeMap<usize, InverseDepthEstimate>,
@@ -108,6 +110,7 @@ impl DenseDepthEstimator {
             views,
             pictures: BTreeMap::new(),
             estimates: BTreeMap::new(),
+            matched: BTreeMap::new(),
             depth_model: None,
             measured: BTreeMap::new(),
             evidence: BTreeMap::new(),
@@ -135,14 +138,16 @@ impl DenseDepthEstimator {
         }
     }
 
-    /// Returns `None` from every estimate once `cancellation` is cancelled.
+    /// Matches no pictures once `cancellation` is cancelled: estimates are those of measured depth then, or
+    /// `None`.
     #[must_use]
     pub fn with_cancellation(self, cancellation: CancellationToken) -> Self {
         Self { cancellation, ..self }
     }
 
-    /// Estimates the depth of keyframe `index`. `load` gives the pictures of a keyframe, or `None`;
-    /// it is called once for each while indices rise.
+    /// Estimates the depth of keyframe `index`, of one up to [`MAX_KEYFRAME_DISTANCE`] before the last
+    /// one again with those that have come since. `load` gives the pictures of a keyframe, or `None`; it
+    /// is called once for each while indices rise, or fall by no more.
     pub fn estimate(
         &mut self,
         index: usize,
@@ -153,19 +158,23 @@ impl DenseDepthEstimator {
         }
         let others = self.selected_views(index);
         others.iter().chain([&index]).for_each(|i| self.ensure_pictures(*i, load));
+        // Keyframes that have come since may see it with more parallax.
+        if self.matched.get(&index).is_some_and(|matched| *matched != others) {
+            self.estimates.remove(&index);
+        }
         let readings = self.fused_readings(index, &others);
         let swept = self.fused_sweep(index, &others, load);
         let depth = match (readings, swept) {
             (Some(readings), Some(swept)) => {
                 let contradicted = self.compare_with_pictures(index, &others, &readings, &swept);
-                let depth = completed(readings, &contradicted, &swept_depth(&swept));
-                Some(depth)
+                Some(completed(readings, &contradicted, &swept_depth(&swept)))
             }
             (Some(readings), None) => Some(depth_from_inverse(&readings)),
             (None, swept) => swept.as_ref().map(swept_depth),
         };
         let oldest = index.saturating_sub(2 * MAX_KEYFRAME_DISTANCE);
         self.estimates.retain(|i, _| *i >= oldest);
+        self.matched.retain(|i, _| *i >= oldest);
         self.measured.retain(|i, _| *i >= oldest);
         self.evidence.retain(|i, _| *i >= oldest);
         self.pictures.retain(|i, _| *i + MAX_KEYFRAME_DISTANCE >= oldest);
@@ -231,23 +240,39 @@ impl DenseDepthEstimator {
         swept: &InverseDepthEstimate,
     ) -> Vec<bool> {
         self.evidence.remove(&index);
-        let others: Vec<usize> =
-            others.iter().copied().filter(|i| self.measured.contains_key(i)).collect();
-        let views = self.neighbour_views(index, &others);
-        let Some(own) = self.picture(index) else { return Vec::new() };
-        let sweep = plane_sweep_at(&self.camera, own.finest(), &views, 0);
-        let confirmed: Vec<Vec<bool>> = self
-            .relative_to(self.pose(index), &others, &self.measured)
-            .iter()
-            .map(|(other, pose)| confirmed_readings(&self.camera, readings, other, pose))
-            .collect();
-        let evidence = evidence_against(&sweep, readings, swept, &confirmed);
-        let mut contradicted = self.contradicted(self.pose(index), readings, evidence.clone());
-        for (pixel, is) in contradicted.iter_mut().enumerate() {
-            *is &= !(swept.is_known(pixel) && agree(readings, swept, pixel));
-        }
+        let mut evidence = self.evidence_of_pictures(index, others, readings, swept);
+        let confirmed = |pixel: usize| swept.is_known(pixel) && agree(readings, swept, pixel);
+        let all = evidence.iter_mut().enumerate();
+        all.filter(|(pixel, _)| confirmed(*pixel)).for_each(|(_, e)| *e = e.min(0.0));
+        let mut out = self.contradicted(self.pose(index), readings, evidence.clone());
+        out.iter_mut().enumerate().for_each(|(pixel, out)| *out &= !confirmed(pixel));
         self.evidence.insert(index, evidence);
-        contradicted
+        out
+    }
+
+    /// Evidence of pictures of `others` against the readings of a keyframe; 0 without its picture.
+    fn evidence_of_pictures(
+        &self,
+        index: usize,
+        others: &[usize],
+        readings: &InverseDepthEstimate,
+        swept: &InverseDepthEstimate,
+    ) -> Vec<f32> {
+        let Some(own) = self.picture(index) else {
+            return vec![0.0; readings.inverse_depth.data.len()];
+        };
+        let world_from_camera = self.pose(index);
+        let (views, confirmed): (Vec<NeighbourView<'_>>, Vec<Vec<bool>>) = others
+            .iter()
+            .filter_map(|other| {
+                let (picture, measured) = (self.picture(*other)?, self.measured.get(other)?);
+                let pose = self.pose(*other).inverse() * world_from_camera;
+                let confirmed = confirmed_readings(&self.camera, readings, measured, &pose);
+                Some(((picture, pose), confirmed))
+            })
+            .unzip();
+        let sweep = plane_sweep_at(&self.camera, own.finest(), &views, 0);
+        evidence_against(&sweep, readings, swept, &confirmed)
     }
 
     /// Marks readings that are contradicted by evidence of their own view and of keyframes.
@@ -262,7 +287,8 @@ impl DenseDepthEstimator {
             let there = (other, self.pose(*index).inverse() * world_from_camera);
             add_evidence_of(&self.camera, readings, there, of_keyframe, &mut evidence);
         }
-        evidence.iter().map(|sum| *sum > 0.0).collect()
+        let read = &readings.inverse_depth.data;
+        evidence.iter().zip(read).map(|(sum, rho)| *sum > 0.0 && *rho > 0.0).collect()
     }
 
     /// Readings of a keyframe averaged with those of others; what they contradict is left out.
@@ -371,6 +397,7 @@ impl DenseDepthEstimator {
             &self.cancellation,
         )?;
         self.estimates.insert(index, found);
+        self.matched.insert(index, chosen);
         Some(())
     }
 }

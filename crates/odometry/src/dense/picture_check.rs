@@ -7,15 +7,16 @@
 //! leaves. Windows that a neighbour does not see in full say nothing: beside edges a sweep finds the
 //! nearer surface.
 
-use super::depth_filter::{MAX_READING_DEVIATIONS, other_reading, square_filter};
+use super::depth_filter::{largest_difference, other_reading, square_filter};
 use super::inverse_depth::{HALF_WINDOWS, InverseDepthEstimate, MIN_COST};
 use super::plane_sweep::{PlaneSweep, write_window_means};
 use i2slam_geometry::{Camera, Pose};
 use rayon::prelude::*;
 
-/// Half the sides of the squares that evidence is averaged over [px]: the smallest that has some
-/// decides.
+/// Half the sides of the squares that evidence is averaged over [px]: the smallest with enough decides.
 const HALF_SQUARES: [usize; 3] = [8, 16, 32];
+/// Share of the pixels of a square that must tell something.
+const MIN_SUPPORT: f32 = 0.1;
 /// Ratio of costs by which readings must be worse than swept depth, where they differ, to outweigh as
 /// many that agree with it.
 const MIN_COST_RATIO: f32 = 1.5;
@@ -29,19 +30,27 @@ pub(super) fn evidence_against(
     confirmed: &[Vec<bool>],
 ) -> Vec<f32> {
     let size = (readings.inverse_depth.width, readings.inverse_depth.height);
+    let count = readings.inverse_depth.data.len();
     let costs = CostComparison::new(sweep, (readings, swept), confirmed);
-    let single: Vec<f32> = (0..readings.inverse_depth.data.len())
-        .map(|pixel| match costs.at(pixel) {
-            None => 0.0,
-            Some(_) if agree(readings, swept, pixel) => -MIN_COST_RATIO.ln(),
-            Some([read, swept]) => (read.max(MIN_COST) / swept.max(MIN_COST)).ln(),
-        })
-        .collect();
-    let (mut out, mut rows, mut means) = (vec![0.0; single.len()], Vec::new(), Vec::new());
+    let (mut single, mut tells) = (vec![0.0; count], vec![0.0; count]);
+    for (pixel, (single, tells)) in single.iter_mut().zip(&mut tells).enumerate() {
+        let Some([read, swept_cost]) = costs.at(pixel) else { continue };
+        *tells = 1.0;
+        *single = match agree(readings, swept, pixel) {
+            true => -MIN_COST_RATIO.ln(),
+            false => (read.max(MIN_COST) / swept_cost.max(MIN_COST)).ln(),
+        };
+    }
+    let (mut rows, mut means, mut support) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut out, mut decided) = (vec![0.0; count], vec![false; count]);
     for half in HALF_SQUARES {
         write_window_means(&single, size, half, &mut rows, &mut means);
-        let open = out.iter_mut().zip(&means).filter(|(out, _)| **out == 0.0);
-        open.for_each(|(out, mean)| *out = *mean);
+        write_window_means(&tells, size, half, &mut rows, &mut support);
+        for pixel in (0..count).filter(|pixel| support[*pixel] >= MIN_SUPPORT) {
+            if !std::mem::replace(&mut decided[pixel], true) {
+                out[pixel] = means[pixel] / support[pixel];
+            }
+        }
     }
     out
 }
@@ -116,5 +125,5 @@ pub(super) fn agree(
     pixel: usize,
 ) -> bool {
     let [a, b] = [readings, swept].map(|e| (e.inverse_depth.data[pixel], e.variance.data[pixel]));
-    (a.0 - b.0).abs() <= MAX_READING_DEVIATIONS * (a.1 + b.1).sqrt()
+    (a.0 - b.0).abs() <= largest_difference(a.1 + b.1, a.0)
 }

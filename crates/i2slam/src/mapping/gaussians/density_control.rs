@@ -57,13 +57,15 @@ pub(super) fn unexplained_pixels(
         .map(|(r, &o)| if o > 0.0 { (r - o).abs() } else { 0.0 })
         .collect();
     let limit = MAX_DEPTH_ERROR * median_depth_error(source.observation, &errors);
+    let in_front = |i: usize| render.depth.data[i] > observed[i] && errors[i] > limit;
+    let open = open_pixels(shape, render).into_iter().enumerate();
+    open.map(|(pixel, open)| open || in_front(pixel)).collect()
+}
+
+/// Marks the pixels at which a map of some shape has low opacity.
+pub(super) fn open_pixels(shape: Shape, render: &Render) -> Vec<bool> {
     let max_opacity = MAX_OPEN_OPACITY[usize::from(shape == Shape::Anisotropic)];
-    let is_unexplained = |i: usize| {
-        let open = render.opacity.data[i] < max_opacity;
-        let in_front = render.depth.data[i] > observed[i] && errors[i] > limit;
-        open || in_front
-    };
-    (0..observed.len()).map(is_unexplained).collect()
+    render.opacity.data.iter().map(|opacity| *opacity < max_opacity).collect()
 }
 
 /// Median absolute depth error. SplaTAM counts pixels without depth as exact; where estimated depth
@@ -114,12 +116,12 @@ pub(super) fn prune(map: &mut GaussianMap, max_scale: f32) -> Vec<bool> {
 }
 
 /// Marks the Gaussians that do not lie on a surface that a camera sees at `depth`, 0 where there is
-/// none.
+/// none, or lie nearer to the depth that stands in for it.
 pub(super) fn outside_surface(
     map: &GaussianMap,
     camera: &Camera<f64>,
     camera_from_world: Pose<f64>,
-    depth: &Image<f32>,
+    [depth, instead]: [&Image<f32>; 2],
 ) -> Vec<bool> {
     let is_on_surface = |mean: &[f32; 3]| {
         let point = camera_from_world * Vec3::from_array(mean.map(f64::from));
@@ -127,8 +129,11 @@ pub(super) fn outside_surface(
         if point.z <= 0.0 || !camera.contains(u, v, 0.0) {
             return false;
         }
-        let surface = f64::from(depth.at(0, u as usize, v as usize));
-        surface > 0.0 && (point.z - surface).abs() <= SURFACE_TOLERANCE * surface
+        let [surface, instead] =
+            [depth, instead].map(|depth| f64::from(depth.at(0, u as usize, v as usize)));
+        let distance = (point.z - surface).abs();
+        let is_nearest = instead <= 0.0 || distance < (point.z - instead).abs();
+        surface > 0.0 && distance <= SURFACE_TOLERANCE * surface && is_nearest
     };
     map.means.iter().map(|mean| !is_on_surface(mean)).collect()
 }

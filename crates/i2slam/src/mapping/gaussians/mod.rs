@@ -23,7 +23,7 @@ use crate::reconstruction::Map;
 use crate::tracking::{TrackingContext, TrackingResult};
 use anchors::Anchors;
 use density_control::{
-    SourceFrame, max_scale, outside_surface, prune, push_balls, unexplained_pixels,
+    SourceFrame, max_scale, open_pixels, outside_surface, prune, push_balls, unexplained_pixels,
 };
 use flat_gaussians::{partition, push_flat_gaussians};
 use i2slam_formation::{CameraResponse, CentreVelocity, Formation, ResponseCurve, TrajectoryScale};
@@ -184,18 +184,6 @@ impl GaussianMapper {
         }
         self.anchors.extend_to(self.current.map.len(), context.frames[current.frame].index);
         self.enforce_capacity(context);
-    }
-
-    /// Marks the pixels of a keyframe that the map does not explain.
-    fn unexplained_by_map(
-        &mut self,
-        context: &MappingContext<'_>,
-        keyframe: &Keyframe,
-    ) -> Vec<bool> {
-        let render = self.render_at_depth(context, keyframe);
-        let (observation, curve) = (keyframe.observation.get(), response_curve(context, keyframe));
-        let source = source_frame(context, keyframe, &observation, curve.as_ref(), Some(&render));
-        unexplained_pixels(self.current.map.shape, &source, &render)
     }
 
     /// Merges Gaussians of a map beyond its capacity, with room for the next frames.
@@ -385,11 +373,13 @@ impl Mapper for GaussianMapper {
         depth: &Image<f32>,
     ) {
         let camera_from_world = context.frames[keyframe.frame].depth_pose().inverse();
-        let keep = outside_surface(&self.current.map, context.camera, camera_from_world, depth);
+        let observation = keyframe.observation.get();
+        let (map, depths) = (&self.current.map, [depth, &*observation.depth]);
+        let keep = outside_surface(map, context.camera, camera_from_world, depths);
         if !keep.contains(&false) {
             return;
         }
-        let was_open = self.unexplained_by_map(context, keyframe);
+        let was_open = open_pixels(map.shape, &self.render_at_depth(context, keyframe));
         self.current.map.retain(&keep);
         self.retain(&keep);
         self.extend(context, keyframe, &was_open);

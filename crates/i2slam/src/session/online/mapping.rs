@@ -22,9 +22,10 @@ const FRAMES_SHARING_STEPS: usize = 4;
 /// Maps the frames of a front end when their neighbours are known, and lets the map follow the
 /// corrections of their poses.
 ///
-/// A frame is mapped when the frame after it has come, and the camera is known where its depth was
-/// taken: its motion is known then, and the landmarks of a keyframe. What is sent to the map, and in which order, depends on the frames alone, so that
-/// the map does not depend on when its thread works.
+/// A frame is sent to the map when the frame after it has come, and the camera is known where its depth
+/// was taken: its motion is known then, and the landmarks of a keyframe. There it waits for two later
+/// keyframes, or sixteen frames with depth. What is sent to the map, and in which order, depends on the
+/// frames alone, so that the map does not depend on when its thread works.
 pub(crate) struct OnlineMapping {
     queue: MappingQueue,
     /// Width and height of the pictures that are mapped [px].

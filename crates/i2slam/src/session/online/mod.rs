@@ -119,12 +119,13 @@ impl OnlineSession {
         self.mapping.session().set_valid_mask(valid_mask);
     }
 
-    /// Sets the frame rate [1/s] before the second frame: a frame is mapped when the next has come.
+    /// Sets the frame rate [1/s] before the second frame, with which the first is sent to the map.
     pub(crate) fn set_frame_rate(&mut self, frame_rate: f64) {
         self.mapping.session().set_frame_rate(frame_rate);
     }
 
-    /// Tracks a frame, and hands frames to the map as soon as those after them have come.
+    /// Tracks a frame, and hands frames to the map, which takes them in when two later keyframes, or
+    /// sixteen frames with depth, have come.
     ///
     /// It never waits for the map; the map waits for it, between two steps, and that time counts in
     /// `mapping.seconds_per_frame`. Frames that wait to be mapped are kept within `memory`, others in
@@ -185,7 +186,7 @@ impl OnlineSession {
         self.mapping.wait_for_map(waiting);
     }
 
-    /// Number of frames and corrections that wait for the map.
+    /// Number of frames and corrections that wait for the map, without frames that wait for later ones.
     pub fn waiting_for_map(&self) -> usize {
         self.mapping.waiting_for_map()
     }

@@ -285,10 +285,11 @@ impl Worker {
         }
         let Some(number) = self.keyframes.len().checked_sub(1) else { return };
         self.waiting.push_back((number, StoredJob::new(job, &self.scratch)));
-        let is_due = |(last, waiting): &(usize, StoredJob), count: usize| {
-            last + LATER_VIEWS <= number || (count > MAX_WAITING && waiting.job.is_measured())
+        let is_due = |(last, _): &(usize, StoredJob), waiting: &VecDeque<(usize, StoredJob)>| {
+            last + LATER_VIEWS <= number
+                || (waiting.len() > MAX_WAITING && waiting.iter().any(|(_, w)| w.job.is_measured()))
         };
-        while self.waiting.front().is_some_and(|first| is_due(first, self.waiting.len())) {
+        while self.waiting.front().is_some_and(|first| is_due(first, &self.waiting)) {
             let Some((number, job)) = self.waiting.pop_front() else { return };
             self.map_frame(number, job);
         }
