@@ -4,7 +4,8 @@ use i2slam::dataset::{Frame, Sequence};
 use i2slam::geometry::Pose;
 use i2slam::{Config, OnlineSession, OnlineUpdate, Reconstruction, RunOptions, TrackingStatus};
 use std::path::Path;
-use std::time::Duration;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 const FRAMES: usize = 14;
 
@@ -74,6 +75,35 @@ fn frames_have_a_pose_and_are_mapped_when_they_come() {
     }
     let mapped = found.frames.iter().filter(|frame| !frame.held_out).count();
     assert!(mapped >= FRAMES - 1, "{mapped}");
+}
+
+/// Frames wait for later keyframes, but a camera that hardly moves makes none: its map grows, too.
+#[test]
+fn a_camera_at_rest_is_mapped() {
+    let sequence = sequence_of(1);
+    let first = sequence.stream().next().expect("a frame").expect("readable");
+    let mut session = OnlineSession::new(config(), sequence.camera, sequence.frame_rate);
+    let mut keyframes = 0;
+    for index in 0..30 {
+        let mut frame = first.clone();
+        // No sensor gives the same picture twice.
+        let noise = |i: usize| ((7 * i + 13 * index) % 5) as f32 / 255.0;
+        let colour = Arc::make_mut(&mut frame.colour).data.iter_mut().enumerate();
+        colour.for_each(|(i, value)| *value = (*value + noise(i)).min(1.0));
+        let moved = index as f64 / 30.0;
+        (frame.index, frame.timestamp) = (index, frame.timestamp + moved);
+        if let Some(depth) = &mut frame.depth {
+            depth.timestamp += moved;
+        }
+        keyframes += usize::from(session.push(frame).expect("a frame of that size").is_keyframe);
+    }
+    assert!(keyframes < 3, "{keyframes} keyframes: the camera moved");
+    session.wait_for_map(0);
+    let begun = Instant::now();
+    while session.reconstruction().frames.len() < 10 {
+        assert!(begun.elapsed() < Duration::from_secs(60), "frames wait for ever");
+        std::thread::sleep(Duration::from_millis(20));
+    }
 }
 
 /// The map depends on the frames alone, not on when its thread works.
