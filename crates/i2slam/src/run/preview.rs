@@ -51,7 +51,7 @@ impl<'a> MapPreview<'a> {
         })
     }
 
-    /// What the map waits for while it is locked.
+    /// Lock that the map waits for between two steps.
     pub(super) fn tracking(&self) -> Arc<Mutex<()>> {
         Arc::clone(&self.tracking)
     }

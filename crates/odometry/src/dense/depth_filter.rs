@@ -131,8 +131,8 @@ pub(super) struct OtherReading {
     pub(super) pixel: usize,
 }
 
-/// What another view (with `other_from_own`) has read at the surface of a pixel with a reading; `None`
-/// where it sees none, or an edge.
+/// Reading of another view (with `other_from_own`) at the surface of a pixel with a reading; `None` where
+/// it sees none, or an edge.
 pub(super) fn other_reading(
     camera: &Camera<f64>,
     own: &InverseDepthEstimate,

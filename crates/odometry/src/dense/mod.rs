@@ -5,7 +5,7 @@
 //! and refined twice around the result with windows that follow the surface. Depth that other
 //! keyframes contradict is dropped; variances are inflated at depth edges.
 //!
-//! Where depth was measured, readings of neighbouring keyframes are averaged in the same way. Those
+//! Measured depth is averaged with the readings of neighbouring keyframes in the same way. Readings
 //! that pictures contradict are left out, and plane sweep completes what the sensor does not see.
 
 mod depth_filter;
