@@ -86,8 +86,16 @@ impl TrackedStream {
                 Some(smaller) => smaller.next().filter(|mapped| timestamps_of(mapped) == stamps),
                 None => Some(tracked.clone()),
             };
-            // One of the two went on without its depth: what was recorded has it.
-            let Some(mapped) = mapped else { break };
+            let mapped = match mapped {
+                Some(mapped) => mapped,
+                // One of the two went on without its depth: what was recorded has it.
+                None if is_mapped => break,
+                // A preview never ends the tracking of a stream.
+                None => {
+                    (preview, smaller) = (None, None);
+                    tracked.clone()
+                }
+            };
             timestamps.push(stamps);
             let pose = frames.push(position, (tracked, mapped), preview.as_mut());
             pose.iter().for_each(|pose| context.observer.pose(pose));
