@@ -27,8 +27,7 @@ pub struct ResponsePrior {
 impl ResponsePrior {
     /// The prior that ties `response` to the curve it was started from.
     pub fn new<T: Real>(response: &CameraResponse<T>) -> Self {
-        let start = CameraResponse::<T>::new(1, response.start(), response.spacing());
-        Self { mean_log_of_start: mean_log(start.curve().values(0)) }
+        Self { mean_log_of_start: mean_log(response.initial()) }
     }
 
     /// `weight · E`; its gradient with respect to the curve is added to `d_curve`, to travel on

@@ -3,6 +3,7 @@
 pub mod form;
 pub mod gauge;
 pub mod reproject;
+pub mod response_estimate;
 pub mod shutter;
 pub mod tone;
 pub mod trajectory_loss;
@@ -10,6 +11,7 @@ pub mod vignetting;
 
 pub use form::{Formation, accumulate, scale_into};
 pub use gauge::ResponsePrior;
+pub use response_estimate::LogResponse;
 pub use shutter::{
     CentreVelocity, Quadrature, ShutterPoses, ShutterTangent, VirtualCamera, row_place,
 };

@@ -20,7 +20,7 @@ pub use image::Image;
 pub use pose::{Pose, Tangent};
 pub use real::Real;
 pub use rotation::{Rotation, right_jacobian, right_jacobian_inverse};
-pub use sample::Tap;
+pub use sample::{CubicTap, Tap};
 pub use similarity::Similarity;
 pub use trajectory::{StampedPose, Trajectory, interpolate_pose, nearest_stamp};
 pub use vector::{Mat3, Vec3};

@@ -197,6 +197,9 @@ struct ResponseState {
     /// Exponent of the node spacing [default: uniform].
     node_power: Option<f64>,
     nodes: Vec<Vec<f32>>,
+    /// Values of the curve it began with at the nodes [default: those of `start`].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    initial: Option<Vec<f32>>,
 }
 
 impl State {
@@ -216,7 +219,14 @@ impl ResponseState {
             NodeSpacing::Uniform => None,
             NodeSpacing::Power(power) => Some(power),
         };
-        Self { start: response.start(), node_power, nodes: response.nodes.clone() }
+        let started = CameraResponse::<f32>::new(1, response.start(), response.spacing());
+        let is_start = response.initial() == started.initial();
+        Self {
+            start: response.start(),
+            node_power,
+            nodes: response.nodes.clone(),
+            initial: (!is_start).then(|| response.initial().to_vec()),
+        }
     }
 
     /// The response; the error says what is wrong with it.
@@ -227,6 +237,13 @@ impl ResponseState {
             return Err(format!("a camera response needs 1 or 3 curves of {NODES} nodes"));
         }
         let mut response = CameraResponse::new(curves, self.start, spacing);
+        if let Some(initial) = self.initial {
+            if initial.len() != NODES {
+                return Err(format!("a camera response begins with a curve of {NODES} nodes"));
+            }
+            let initial = initial.into_iter().map(f64::from).collect();
+            response = CameraResponse::of_nodes(vec![initial], self.start, spacing);
+        }
         response.nodes = self.nodes;
         Ok(response)
     }

@@ -6,7 +6,7 @@ use crate::export::splat::{Display, splats};
 use i2slam::Config;
 use i2slam::config::MapKind;
 use i2slam::formation::{
-    CameraResponse, FrameTone, NodeSpacing, ShutterPoses, StartCurve, Vignetting,
+    CameraResponse, FrameTone, NodeSpacing, ShutterPoses, StartCurve, Vignetting, tone::NODES,
 };
 use i2slam::geometry::{Camera, Pose, Rotation, StampedPose, Tangent, Vec3};
 use i2slam::radiance::gaussian::{ColourActivation, Gaussian, GaussianMap, Shape};
@@ -92,6 +92,19 @@ fn saved(path: &std::path::Path, reconstruction: &Reconstruction) {
     let mut folder = output(path);
     assert!(save(&folder, reconstruction).is_empty());
     folder.commit().expect("room");
+}
+
+#[test]
+fn a_response_that_was_found_loads_with_the_curve_it_began_with() {
+    let scratch = TemporaryFolder::new("found-response");
+    let mut before = example(2);
+    let begun = (0..NODES).map(|i| (i as f64 / 255.0).powf(1.3)).collect();
+    let spacing = NodeSpacing::Power(4.5);
+    let mut found = CameraResponse::of_nodes(vec![begun; 3], StartCurve::Shoulder, spacing);
+    found.nodes[1][70] += 0.01;
+    before.responses = vec![found];
+    saved(&scratch.0, &before);
+    assert_eq!(load(&scratch.0).expect("a result").responses, before.responses);
 }
 
 #[test]

@@ -24,6 +24,8 @@ use std::sync::Arc;
 pub struct CameraResponse<T> {
     /// 1 or 3 lists of [`NODES`] free values.
     pub nodes: Vec<Vec<T>>,
+    /// Values of the curve it began with, at the nodes.
+    initial: Vec<T>,
     spacing: NodeSpacing,
     start: StartCurve,
     grid: Arc<Grid<T>>,
@@ -33,13 +35,36 @@ impl<T: Real> CameraResponse<T> {
     /// `curves` copies of the start curve (0 is taken as 1). Channel `c` of a picture uses curve
     /// `min(c, curves - 1)`: 1 for a monochrome response, 3 for one per channel.
     pub fn new(curves: usize, start: StartCurve, spacing: NodeSpacing) -> Self {
-        let curve = (0..NODES).map(|i| T::of(start.evaluate(spacing.position(i)))).collect();
+        let curve = (0..NODES).map(|i| start.evaluate(spacing.position(i))).collect();
+        Self::of_nodes(vec![curve; curves.max(1)], start, spacing)
+    }
+
+    /// The response of given nodes, 1 or 3 lists of [`NODES`]; the first list is the curve that it
+    /// begins with.
+    ///
+    /// # Panics
+    /// Without a list.
+    pub fn of_nodes(nodes: Vec<Vec<f64>>, start: StartCurve, spacing: NodeSpacing) -> Self {
+        let cast = |values: &Vec<f64>| values.iter().map(|&v| T::of(v)).collect::<Vec<T>>();
         Self {
-            nodes: vec![curve; curves.max(1)],
+            initial: cast(&nodes[0]),
+            nodes: nodes.iter().map(cast).collect(),
             spacing,
             start,
             grid: Arc::new(Grid::new(spacing)),
         }
+    }
+
+    /// Values at the nodes of the curve that it began with.
+    pub fn initial(&self) -> &[T] {
+        &self.initial
+    }
+
+    /// The response whose linear values are those of this one, raised to a power: its nodes are spaced
+    /// farther apart or closer, and nothing is interpolated. Node spacings end at exponents of 1/8 and 12.
+    pub fn raised(&self, power: f64) -> Self {
+        let spacing = NodeSpacing::Power(power * self.spacing.exponent());
+        Self { spacing, grid: Arc::new(Grid::new(spacing)), ..self.clone() }
     }
 
     /// Spacing of the nodes.

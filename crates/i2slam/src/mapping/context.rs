@@ -34,6 +34,9 @@ pub(crate) struct MappingContext<'a> {
     /// Keyframes so far, the current frame included if it is one.
     pub(crate) keyframes: &'a [Keyframe],
     pub(crate) responses: &'a mut [CameraResponse<f32>],
+    /// Whether the responses were found from pictures, and are no longer stepped: steps bend them as a
+    /// whole, which pictures hardly tell from a change of radiance and exposures.
+    pub(crate) has_found_response: bool,
     /// Vignetting of every pixel, once it is found.
     pub(crate) vignetting: Option<&'a [f32]>,
     /// Mask of the pixels that the camera recorded; `None`: all.

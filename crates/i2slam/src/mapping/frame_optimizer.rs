@@ -73,6 +73,11 @@ impl FrameOptimizers {
         }
     }
 
+    /// Drops the moments of responses that were replaced.
+    pub(super) fn forget_responses(&mut self) {
+        self.responses.clear();
+    }
+
     fn frame(&mut self, index: usize) -> &mut FrameOptimizer {
         self.frames.entry(index).or_insert_with(|| FrameOptimizer {
             exposure: adam(),
@@ -120,6 +125,9 @@ impl FrameOptimizers {
         index: usize,
         d_curve: &mut CurveGradient<f32>,
     ) {
+        if context.has_found_response {
+            return;
+        }
         let weight = context.config.parameters.frames.response_prior;
         let scope = context.config.formation.response_scope;
         let response = &mut context.responses[index];

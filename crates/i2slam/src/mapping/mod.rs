@@ -4,17 +4,22 @@
 //! [`Mapper`] is a map of either kind: of frames that are tracked against it and keep their poses,
 //! or of keyframes whose poses are only roughly known and optimised with it.
 
+mod blur_pairs;
 mod context;
 mod depth_inpainting;
 mod field;
+mod frame_gains;
 mod frame_optimizer;
 mod gaussians;
 mod joint;
 mod keyframe;
 mod mapper;
+mod response;
+mod surface_pairs;
 mod vignetting;
 mod window;
 
+pub(crate) use blur_pairs::compare_blurred_keyframes;
 pub(crate) use context::{MappingContext, RefinementStep};
 pub(crate) use depth_inpainting::MIN_SURFACE_OPACITY;
 pub(crate) use field::{FieldMapper, largest_field};
@@ -22,4 +27,6 @@ pub(crate) use gaussians::GaussianMapper;
 pub(crate) use joint::JointFieldMapper;
 pub(crate) use keyframe::{AdjacentFrames, Keyframe, is_keyframe};
 pub(crate) use mapper::{Growth, Mapper};
+pub(crate) use response::{find_response, finds_response};
+pub(crate) use surface_pairs::{compare_keyframes, is_comparison_due};
 pub(crate) use vignetting::LensVignetting;

@@ -19,7 +19,8 @@ pub use runtime_estimate::RuntimeEstimate;
 use crate::config::{Config, MapKind, MappingConfig};
 use crate::mapping::{
     FieldMapper, GaussianMapper, Growth, JointFieldMapper, Keyframe, LensVignetting, Mapper,
-    MappingContext, RefinementStep,
+    MappingContext, RefinementStep, compare_blurred_keyframes, compare_keyframes, find_response,
+    finds_response, is_comparison_due,
 };
 use crate::reconstruction::{FrameEstimate, Reconstruction};
 use crate::tracking::SequenceReadout;
@@ -202,8 +203,8 @@ impl Session {
             Ok(Growth::Waiting) => Ok(()),
             Ok(growth) => {
                 mapper.refine(&mut context, current, growth);
-                if LensVignetting::is_due(&context, current) {
-                    self.find_vignetting();
+                if is_comparison_due(&context, current) {
+                    self.calibrate_light();
                 }
                 Ok(())
             }
@@ -214,16 +215,26 @@ impl Session {
         }
     }
 
-    /// Finds the vignetting anew, from all keyframes.
-    fn find_vignetting(&mut self) {
-        let formation = &self.config.formation;
-        if !(formation.vignetting && formation.tone) {
+    /// Finds response and vignetting anew, from all keyframes.
+    fn calibrate_light(&mut self) {
+        let has_vignetting = self.config.formation.vignetting && self.config.formation.tone;
+        let has_response = finds_response(&self.config);
+        if !(has_vignetting || has_response) {
             return;
         }
-        let (mapper, _, context) = self.mapping();
-        if let Some(found) = LensVignetting::find(mapper, &context) {
+        let lens = self.state.lens_vignetting();
+        let (mapper, _, mut context) = self.mapping();
+        let compared = compare_keyframes(mapper, &context);
+        let mut is_found = false;
+        if has_response {
+            let blurred = compare_blurred_keyframes(mapper, &context);
+            is_found = find_response(mapper, &mut context, (&compared, &blurred), lens);
+        }
+        let found = has_vignetting.then(|| LensVignetting::find(&context, &compared)).flatten();
+        if let Some(found) = found {
             self.state.vignetting = found;
         }
+        self.state.has_found_response |= is_found;
     }
 
     /// Final steps over all keyframes; where their poses are refined, in parts between which all are
@@ -242,7 +253,7 @@ impl Session {
         for round in 0..=relocalizations {
             let first = (round * part).min(plan.steps);
             let steps = first..(first + part).min(plan.steps);
-            self.find_vignetting();
+            self.calibrate_light();
             let vignetting = self.state.lens_vignetting();
             let (mapper, tracker, mut context) = self.mapping();
             let setup = (context.config, context.camera);

@@ -20,6 +20,8 @@ pub(super) struct SessionState {
     pub(super) frames: Vec<FrameEstimate>,
     pub(super) keyframes: Vec<Keyframe>,
     pub(super) responses: Vec<CameraResponse<f32>>,
+    /// Whether the response was found from pictures, and is no longer stepped.
+    pub(super) has_found_response: bool,
     /// Vignetting, where it was found.
     pub(super) vignetting: Option<LensVignetting>,
     /// Mask of the pixels that the camera recorded; `None`: all.
@@ -37,6 +39,7 @@ impl SessionState {
             frames: Vec::new(),
             keyframes: Vec::new(),
             responses: vec![initial_response(config)],
+            has_found_response: false,
             vignetting: None,
             valid_mask: None,
             warnings: Vec::new(),
@@ -58,6 +61,7 @@ impl SessionState {
             frames: &mut self.frames,
             keyframes: &self.keyframes,
             responses: &mut self.responses,
+            has_found_response: self.has_found_response,
             vignetting: self.vignetting.as_ref().map(LensVignetting::at_pixels),
             valid_mask: self.valid_mask.as_deref(),
             random: &mut self.random,

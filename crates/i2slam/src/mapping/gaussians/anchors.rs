@@ -32,6 +32,19 @@ impl Anchors {
         self.0.iter().map(|frame| !frames.contains(frame)).collect()
     }
 
+    /// Changes every colour by `change`, of the place of its frame and the colour. `places` has the
+    /// indices of frames; others count as the first.
+    pub(super) fn change_colours(
+        &self,
+        places: &BTreeMap<usize, usize>,
+        map: &mut GaussianMap,
+        change: &dyn Fn(usize, [f32; 3]) -> [f32; 3],
+    ) {
+        for (colour, frame) in map.colours.iter_mut().zip(&self.0) {
+            *colour = change(places.get(frame).copied().unwrap_or(0), *colour);
+        }
+    }
+
     /// Moves every Gaussian by the motion of its frame in the world, with the moments of its
     /// optimiser; those of other frames stay.
     pub(super) fn apply_motions(

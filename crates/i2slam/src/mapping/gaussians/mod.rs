@@ -385,6 +385,18 @@ impl Mapper for GaussianMapper {
         self.extend(context, keyframe, &was_open);
     }
 
+    fn change_radiance(
+        &mut self,
+        context: &MappingContext<'_>,
+        change: &dyn Fn(usize, [f32; 3]) -> [f32; 3],
+    ) -> bool {
+        let frames = context.frames.iter().enumerate();
+        let places = frames.map(|(place, frame)| (frame.index, place)).collect();
+        self.anchors.change_colours(&places, &mut self.current.map, change);
+        self.optimizer.forget_responses();
+        true
+    }
+
     fn map(&self) -> Map {
         Map::Gaussians(self.current.map.clone())
     }

@@ -56,6 +56,11 @@ impl GaussianOptimizer {
         *self = Self { gradient, ..Self::new() };
     }
 
+    /// Drops the moments of responses that were replaced.
+    pub(crate) fn forget_responses(&mut self) {
+        self.frames.forget_responses();
+    }
+
     /// Drops the moments of pruned Gaussians.
     pub(crate) fn retain(&mut self, keep: &[bool]) {
         self.step_counts.retain(keep);

@@ -1,0 +1,359 @@
+//! Response of the camera, from surface points that keyframes of different exposure show.
+//!
+//! Steps on its nodes adapt a response to pictures slowly, and hardly at all where few pixels are: close
+//! to white. The comparison of pictures finds its shape at once ([`i2slam_formation::response_estimate`]);
+//! radiance and exposures are then taken over from the former one, so that the map shows the pictures
+//! as before.
+
+use super::blur_pairs::{BlurredView, MovedPixel};
+use super::context::MappingContext;
+use super::frame_gains::{ChannelPairs, apply_gains, solve_gains};
+use super::mapper::Mapper;
+use super::surface_pairs::{ComparedViews, PLACE_DEVIATION, PictureSample, SamplePair};
+use crate::config::{Config, ResponseScope};
+use i2slam_formation::response_estimate::{
+    BlurPair, BlurredPixel, MOMENTS, TIED, ValuePair, deviation_by_curve, deviation_by_response,
+    estimate, estimate_power,
+};
+use i2slam_formation::{CameraResponse, FrameTone, ResponseCurve, Vignetting};
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+
+/// Picture values that are compared: darker ones are steps of 8 bits, brighter ones clipped.
+const COMPARED: [f32; 2] = [0.08, 0.985];
+/// Standard deviation of a picture value in a plain area.
+const VALUE_DEVIATION: f64 = 0.003;
+/// Ratio of the residuals' deviation by the former response to that by the found one from which it
+/// replaces it. Pictures of one exposure tell neither from the other.
+const MIN_GAIN: f64 = 1.02;
+/// Range of exposures [stops] from which their differences outweigh what gloss and blur do to the same
+/// points.
+const MIN_EXPOSURE_RANGE: f64 = 0.5;
+/// Picture values of blurred pixels and of what they saw.
+const BLUR_COMPARED: [f32; 2] = [0.06, 0.97];
+/// Standard deviation of the logarithm of the power that start curve and pictures of different exposure
+/// leave: sRGB, a measured response and Reinhard's are 1.08, 1.16 and 0.86 of the start curve.
+const PRIOR_DEVIATION: f64 = 0.15;
+/// Error of the power by blur beyond its scatter: interpolation, and what blur the sharp picture has.
+const POWER_ERROR: f64 = 0.1;
+/// Distance of the power by blur from what is known without, in standard deviations, at most.
+const MAX_POWER_DEVIATIONS: f64 = 3.0;
+/// Picture values between which the former response is trusted; beyond, linear values are shifted.
+const TRUSTED: [f32; 2] = [0.05, 0.97];
+/// Picture values whose distance in stops tells by how much exposures are stretched.
+const STRETCHED: [f64; 2] = [0.2, 0.8];
+
+/// True if a configuration has one response for all frames that is to be found.
+pub(crate) fn finds_response(config: &Config) -> bool {
+    config.formation.tone
+        && config.formation.response_scope == ResponseScope::Sequence
+        && config.parameters.frames.response_prior > 0.0
+}
+
+/// Finds the response of all frames, and takes map and exposures over to it. Returns whether it did:
+/// nothing changes where the pictures do not tell, or the map cannot follow.
+pub(crate) fn find_response(
+    mapper: &mut dyn Mapper,
+    context: &mut MappingContext<'_>,
+    (compared, blurred): (&[ComparedViews], &[BlurredView]),
+    lens: Vignetting<f32>,
+) -> bool {
+    let response = &context.responses[0];
+    let former = response.curve();
+    let gauge = context.keyframes.first().map_or(0, |keyframe| keyframe.frame);
+    let points = PairedValues::new(compared, lens);
+    let shape = points.better_response(response, gauge);
+    let power = power_by_blur(blurred, shape.as_ref().unwrap_or(response), lens);
+    if shape.is_none() && power.is_none() {
+        return false;
+    }
+    let next = shape.as_ref().unwrap_or(response).raised(power.unwrap_or(1.0));
+    let curve = next.curve();
+    let change = ResponseChange::new(former, curve.clone());
+    let stretched: Vec<FrameTone<f32>> =
+        context.frames.iter().map(|frame| change.tone(&frame.tone)).collect();
+    let gains = points.gains(&curve, gauge, &stretched);
+    let tones = apply_gains(&stretched, &gains, context.config.formation.white_balance);
+    if tones.iter().any(|tone| tone.to_array().iter().any(|value| !value.is_finite())) {
+        return false;
+    }
+    let colour =
+        |frame: usize, colour| change.colour(&context.frames[frame].tone, &tones[frame], colour);
+    if !mapper.change_radiance(context, &colour) {
+        return false;
+    }
+    context.responses[0] = next;
+    context.frames.iter_mut().zip(tones).for_each(|(frame, tone)| frame.tone = tone);
+    true
+}
+
+/// The power to which linear values are to be raised: between that of the start curve and that by blur, by
+/// what is known of both; `None` without blur.
+fn power_by_blur(
+    blurred: &[BlurredView],
+    response: &CameraResponse<f32>,
+    lens: Vignetting<f32>,
+) -> Option<f64> {
+    let curve = response.curve();
+    let start = CameraResponse::<f32>::new(1, response.start(), response.spacing()).curve();
+    let power = log_range(&curve, TIED) / log_range(&start, TIED);
+    let found = estimate_power(&blurred_pixels(blurred, &curve, lens))?;
+    let log_power = (power * found.power).ln();
+    let variance = (found.deviation / found.power).powi(2) + POWER_ERROR.powi(2);
+    let total = PRIOR_DEVIATION.powi(2) + variance;
+    // Farther from the start curve's than both deviations allow: the motion is wrong.
+    let is_plausible = log_power.abs() < MAX_POWER_DEVIATIONS * total.sqrt();
+    is_plausible.then(|| (log_power * PRIOR_DEVIATION.powi(2) / total).exp() / power)
+}
+
+/// Distance of the logarithms of the linear values of two picture values, the mean over channels.
+fn log_range(curve: &ResponseCurve<f32>, [low, high]: [f64; 2]) -> f64 {
+    let range = |channel| log_linear(curve, channel, high) - log_linear(curve, channel, low);
+    (0..3).map(range).sum::<f64>() / 3.0
+}
+
+fn blurred_pixels(
+    blurred: &[BlurredView],
+    curve: &ResponseCurve<f32>,
+    lens: Vignetting<f32>,
+) -> Vec<BlurPair> {
+    let log_light = |sample: &PictureSample, channel: usize| {
+        let value = sample.values[channel];
+        let is_exposed = (BLUR_COMPARED[0]..=BLUR_COMPARED[1]).contains(&value);
+        let light = || log_linear(curve, channel, f64::from(value)) - log_vignetting(lens, sample);
+        is_exposed.then(light)
+    };
+    let pixel = |moved: &MovedPixel, channel: usize| {
+        let mut sharp = [0.0; MOMENTS];
+        for (log, sample) in sharp.iter_mut().zip(&moved.sharp) {
+            *log = log_light(sample, channel)?;
+        }
+        Some(BlurredPixel { blurred: log_light(&moved.blurred, channel)?, sharp })
+    };
+    let of_channel = |view: &BlurredView, channel| -> Vec<BlurredPixel> {
+        view.pixels.iter().filter_map(|moved| pixel(moved, channel)).collect()
+    };
+    let pair = |view: &BlurredView| BlurPair {
+        picture: view.keyframe,
+        channels: std::array::from_fn(|channel| of_channel(view, channel)),
+    };
+    blurred.par_iter().map(pair).collect()
+}
+
+fn log_linear(curve: &ResponseCurve<f32>, channel: usize, value: f64) -> f64 {
+    f64::from(curve.inverse(channel, value as f32).max(f32::MIN_POSITIVE)).ln()
+}
+
+fn log_vignetting(lens: Vignetting<f32>, sample: &PictureSample) -> f64 {
+    f64::from(lens.at(sample.squared_radius as f32)).ln()
+}
+
+/// Range of the exposures of frames.
+fn range_in_stops(gains: &[BTreeMap<usize, f64>; 3]) -> f64 {
+    let green = gains[1].values().copied();
+    let range = green.clone().reduce(f64::max).zip(green.reduce(f64::min));
+    range.map_or(0.0, |(most, least)| (most - least) / 2.0_f64.ln())
+}
+
+/// Picture values of the points that pairs of frames see, by channel.
+struct PairedValues {
+    frames: Vec<[usize; 2]>,
+    points: [Vec<Vec<ValuePair>>; 3],
+}
+
+impl PairedValues {
+    fn new(compared: &[ComparedViews], lens: Vignetting<f32>) -> Self {
+        let of_channel = |channel| {
+            let pairs = |views: &ComparedViews| {
+                let pair = |points: &SamplePair| value_pair(points, channel, lens);
+                views.points.iter().filter_map(pair).collect()
+            };
+            compared.par_iter().map(pairs).collect()
+        };
+        let frames = compared.iter().map(|views| views.frames).collect();
+        Self { frames, points: std::array::from_fn(of_channel) }
+    }
+
+    /// The response that explains the points better than the former one; `None` where none does, or
+    /// exposures are too much alike to tell.
+    fn better_response(
+        &self,
+        response: &CameraResponse<f32>,
+        gauge_frame: usize,
+    ) -> Option<CameraResponse<f32>> {
+        let former = response.curve();
+        let deviations = (0..3).map(|c| deviation_by_response(&self.points[c], (&former, c)));
+        let before = deviations.sum::<Option<f64>>()? / 3.0;
+        // Of n views, a point of the first is compared with n - 1 others, of the last with none.
+        let repeats = (2.0 * self.frames.len() as f64).sqrt() / 2.0;
+        let all = self.points.concat();
+        let found = estimate(&all, repeats, response.start())?;
+        let after = deviation_by_curve(&all, &found)?;
+        let next = found.camera_response(response.nodes.len(), response.start());
+        let gains = self.gains(&next.curve(), gauge_frame, &[]);
+        let is_told = range_in_stops(&gains) >= MIN_EXPOSURE_RANGE;
+        (is_told && before > MIN_GAIN * after).then_some(next)
+    }
+
+    /// Gains of the frames by a response; `tones` are those known so far.
+    fn gains(
+        &self,
+        curve: &ResponseCurve<f32>,
+        gauge_frame: usize,
+        tones: &[FrameTone<f32>],
+    ) -> [BTreeMap<usize, f64>; 3] {
+        std::array::from_fn(|channel| {
+            let pairs = self.frames.iter().zip(&self.points[channel]);
+            let pairs: Vec<ChannelPairs<'_>> =
+                pairs.map(|(&frames, points)| ChannelPairs { frames, points }).collect();
+            let log = |value| log_linear(curve, channel, value);
+            let known = |frame: usize| {
+                tones.get(frame).map_or(0.0, |tone| f64::from(tone.gains()[channel].ln()))
+            };
+            solve_gains(&pairs, log, gauge_frame, known)
+        })
+    }
+}
+
+/// A point in one channel; `None` where it is badly exposed.
+fn value_pair(points: &SamplePair, channel: usize, lens: Vignetting<f32>) -> Option<ValuePair> {
+    let of = |sample: &PictureSample| (sample.values[channel], sample.slopes[channel]);
+    let [(first, _), (second, _)] = [&points[0], &points[1]].map(of);
+    let is_exposed = [first, second].iter().all(|v| (COMPARED[0]..=COMPARED[1]).contains(v));
+    let deviation = |sample: &PictureSample| {
+        VALUE_DEVIATION.hypot(PLACE_DEVIATION * f64::from(sample.slopes[channel]))
+    };
+    is_exposed.then(|| ValuePair {
+        values: [first, second].map(f64::from),
+        deviations: [deviation(&points[0]), deviation(&points[1])],
+        log_vignetting: log_vignetting(lens, &points[0]) - log_vignetting(lens, &points[1]),
+    })
+}
+
+/// From linear values by one response to those by another that gives the same picture.
+struct ResponseChange {
+    former: ResponseCurve<f32>,
+    found: ResponseCurve<f32>,
+    /// Stops by the found response over stops by the former one.
+    stretch: f32,
+}
+
+impl ResponseChange {
+    fn new(former: ResponseCurve<f32>, found: ResponseCurve<f32>) -> Self {
+        let stretch = (log_range(&found, STRETCHED) / log_range(&former, STRETCHED)) as f32;
+        Self { former, found, stretch }
+    }
+
+    /// Logarithm of a linear value. Where the former response is not trusted, that of the nearest value
+    /// that is, with the same distance.
+    fn log_linear(&self, channel: usize, log: f32) -> f32 {
+        let [low, high] = TRUSTED.map(|y| self.former.inverse(channel, y).ln());
+        let held = log.clamp(low, high);
+        let value = self.former.evaluate(channel, held.exp());
+        self.found.inverse(channel, value).max(f32::MIN_POSITIVE).ln() + (log - held)
+    }
+
+    /// Log radiance that a frame shows with its next tone as it showed `colour` with the former one.
+    fn colour(&self, former: &FrameTone<f32>, next: &FrameTone<f32>, colour: [f32; 3]) -> [f32; 3] {
+        let [former, next] = [former, next].map(|tone| tone.gains().map(f32::ln));
+        std::array::from_fn(|channel| {
+            self.log_linear(channel, colour[channel] + former[channel]) - next[channel]
+        })
+    }
+
+    /// The tone whose stops are stretched.
+    fn tone(&self, tone: &FrameTone<f32>) -> FrameTone<f32> {
+        FrameTone::from_array(tone.to_array().map(|value| self.stretch * value))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::blur_pairs::moved_pixels;
+    use super::super::surface_pairs::tests::{CAMERA, compared_views, curve, exposed_view};
+    use super::*;
+    use i2slam_formation::{NodeSpacing, StartCurve};
+    use i2slam_geometry::{Pose, Tangent};
+
+    fn srgb() -> ResponseCurve<f32> {
+        CameraResponse::new(3, StartCurve::Srgb, NodeSpacing::Power(2.5)).curve()
+    }
+
+    fn response(start: StartCurve) -> CameraResponse<f32> {
+        CameraResponse::new(3, start, NodeSpacing::Power(2.5))
+    }
+
+    /// Range over picture values of the distance [stops] between two curves' linear values.
+    fn apart(first: &ResponseCurve<f32>, second: &ResponseCurve<f32>) -> f32 {
+        let distance = |v: i32| {
+            let y = v as f32 / 100.0;
+            (first.inverse(0, y) / second.inverse(0, y)).log2()
+        };
+        let all: Vec<f32> = (25..=75).map(distance).collect();
+        let bound = |of: fn(f32, f32) -> f32| all.iter().copied().reduce(of).expect("values");
+        bound(f32::max) - bound(f32::min)
+    }
+
+    #[test]
+    fn pictures_of_different_exposure_tell_the_response() {
+        let lens = Vignetting { coefficients: [-0.3, 0.0, 0.0] };
+        let points = PairedValues::new(&compared_views(7, &lens, 1.2), lens);
+        let mut former = response(StartCurve::Shoulder);
+        former.nodes = response(StartCurve::Srgb).nodes;
+        let found = points.better_response(&former, 0).expect("better than sRGB").curve();
+        let [before, after] = [former.curve(), found].map(|c| apart(&c, &curve()));
+        assert!(after < 0.15 && before > 0.5, "{before} {after}");
+        let known = response(StartCurve::Shoulder);
+        assert!(points.better_response(&known, 0).is_none(), "the true one was replaced");
+    }
+
+    #[test]
+    fn pictures_of_one_exposure_change_nothing() {
+        let lens = Vignetting::default();
+        let points = PairedValues::new(&compared_views(7, &lens, 0.0), lens);
+        assert!(points.better_response(&response(StartCurve::Srgb), 0).is_none());
+    }
+
+    #[test]
+    fn blur_tells_the_power_of_linear_values() {
+        let lens = Vignetting { coefficients: [-0.3, 0.0, 0.0] };
+        let view = |at: f64, rotation: [f64; 3], log_exposure: f32| {
+            let pose = Pose::identity().retract(Tangent::from_array([at, 0.0, 0.0, 0.0, 0.0, 0.0]));
+            let [x, y, z] = rotation;
+            let velocity = Tangent::from_array([0.0, 0.0, 0.0, x, y, z]);
+            let tone = FrameTone { log_exposure, ..FrameTone::default() };
+            exposed_view(pose, velocity, &tone, &lens, 0)
+        };
+        let sharp = view(0.0, [0.0; 3], 0.0);
+        let motions = [[0.0, 0.2, 0.0], [0.25, 0.0, 0.0], [0.15, -0.15, 0.1]];
+        let blurred = (0..3).map(|k| {
+            let moved = view(0.05 * k as f64, motions[k], 0.3 * k as f32);
+            BlurredView { keyframe: k, pixels: moved_pixels(&moved, &sharp, &CAMERA, None) }
+        });
+        let blurred: Vec<BlurredView> = blurred.collect();
+        let known = response(StartCurve::Shoulder);
+        for wrong in [0.9, 1.0, 1.1] {
+            let power = power_by_blur(&blurred, &known.raised(wrong), lens).expect("blur");
+            assert!((power * wrong - 1.0).abs() < 0.05, "{wrong}: {power}");
+        }
+        assert_eq!(power_by_blur(&blurred[..1], &known, lens), None);
+        assert_eq!(power_by_blur(&blurred, &known.raised(3.0), lens), None);
+    }
+
+    #[test]
+    fn pictures_stay_as_they_were() {
+        let change = ResponseChange::new(srgb(), curve());
+        let tone = FrameTone { log_exposure: 0.7, log_white_balance: [0.1, 0.0, -0.2] };
+        for value in [0.07_f32, 0.2, 0.5, 0.8, 0.95] {
+            let gains = tone.gains();
+            let colour: [f32; 3] =
+                std::array::from_fn(|c| (srgb().inverse(c, value) / gains[c]).ln());
+            let next_tone = change.tone(&tone);
+            let (next, gains) = (change.colour(&tone, &next_tone, colour), next_tone.gains());
+            for channel in 0..3 {
+                let shown = curve().evaluate(channel, next[channel].exp() * gains[channel]);
+                assert!((shown - value).abs() < 2e-3, "{value}: {shown}");
+            }
+        }
+    }
+}
