@@ -1,12 +1,15 @@
 //! Metering of views of a reconstruction, and the exposure controller of its camera.
 
 use super::Viewer;
-use crate::reconstruction::{FrameEstimate, Reconstruction};
+use crate::reconstruction::{FrameEstimate, Map, Reconstruction};
 use i2slam_formation::{AutoExposureFit, ExposureFollower, ExposureSample, Metering};
 use i2slam_geometry::Pose;
 
-/// Longer side of the renders that are metered [px]: the median of a smaller one is nearer to its mean.
-const MAX_SIDE: usize = 320;
+/// Longer side of the renders of Gaussians that are metered [px]: a smaller one smooths them, and its
+/// median is nearer to the mean.
+const GAUSSIANS_SIDE: usize = 320;
+/// Longer side of the renders of a hash grid [px], whose rays are samples that nothing smooths.
+const HASH_GRID_SIDE: usize = 80;
 
 /// A light meter that looks at the map, in small renders.
 pub struct LightMeter<'a> {
@@ -21,7 +24,11 @@ impl Reconstruction {
     pub fn light_meter(&self) -> LightMeter<'_> {
         let (width, height) = (self.camera.width, self.camera.height);
         let longer = width.max(height).max(1);
-        let size = |side: usize| (side * MAX_SIDE.min(longer)).div_ceil(longer).max(1);
+        let most = match self.map {
+            Map::Gaussians(_) => GAUSSIANS_SIDE,
+            Map::HashGrid(_) => HASH_GRID_SIDE,
+        };
+        let size = |side: usize| (side * most.min(longer)).div_ceil(longer).max(1);
         let viewer = self.viewer_of(self.camera.resized(size(width), size(height)));
         let tone = self.typical_tone().map(|(tone, _)| tone).unwrap_or_default();
         let white_balance = tone.log_white_balance.map(f32::exp);
@@ -86,7 +93,6 @@ impl LightMeter<'_> {
 mod tests {
     use super::super::pose_optimization::tests::room;
     use super::*;
-    use crate::reconstruction::Map;
     use i2slam_formation::{AutoExposure, Meter};
     use i2slam_geometry::Tangent;
     use std::convert::Infallible;
