@@ -1,5 +1,6 @@
 #![doc = include_str!("../README.md")]
 
+pub mod auto_exposure;
 pub mod form;
 pub mod gauge;
 pub mod reproject;
@@ -9,6 +10,9 @@ pub mod tone;
 pub mod trajectory_loss;
 pub mod vignetting;
 
+pub use auto_exposure::{
+    AutoExposure, AutoExposureFit, ExposureFollower, ExposureSample, Meter, Metering,
+};
 pub use form::{Formation, accumulate, scale_into};
 pub use gauge::ResponsePrior;
 pub use response_estimate::LogResponse;

@@ -35,7 +35,7 @@ pub use session::{
     MappingPanicked, OnlineError, OnlineSession, OnlineUpdate, RuntimeEstimate, Session,
     SessionError,
 };
-pub use viewer::{OptimisedPose, Viewer};
+pub use viewer::{LightMeter, OptimisedPose, Viewer};
 pub use warning::Warning;
 
 #[cfg(doctest)]

@@ -23,7 +23,7 @@ pub(crate) struct Render {
     /// Only frames A to B-1 of the associated stream
     #[arg(long, value_name = "A..B", value_parser = frame_range, conflicts_with_all = ["pose", "poses"])]
     pub(crate) frames: Option<Range<usize>>,
-    /// A pose of your own, world from camera
+    /// A pose of your own, world from camera, exposed as the camera would have done it
     #[arg(
         long,
         value_name = "\"tx ty tz qx qy qz qw\"",
@@ -31,7 +31,7 @@ pub(crate) struct Render {
         conflicts_with = "poses"
     )]
     pub(crate) pose: Option<String>,
-    /// Poses of your own, a file in the TUM format
+    /// Poses of your own, a file in the TUM format, exposed as along the way at these times
     #[arg(long, value_name = "FILE")]
     pub(crate) poses: Option<PathBuf>,
     /// Kinds: sharp, blurred, hdr, depth, opacity [default: all that apply]
@@ -55,9 +55,12 @@ pub(crate) fn render(arguments: &Render) -> Result<(), Failure> {
     // Locked before it is read, so that no other command replaces it meanwhile.
     let mut pictures = Pictures::open(arguments, own_poses)?;
     let reconstruction = i2slam_result::load(&arguments.result)?;
-    let frames = pictures.numbered(frames(arguments, pose, &reconstruction)?);
+    let mut frames = pictures.numbered(frames(arguments, pose, &reconstruction)?);
     interrupt::listen();
     let progress = Progress::new(frames.len(), false);
+    if own_poses && kinds.contains(&RenderKind::Sharp) {
+        expose(&mut frames, &reconstruction, &progress)?;
+    }
     let mut viewer = reconstruction.viewer();
     let mut done = 0;
     for frame in &frames {
@@ -78,6 +81,30 @@ pub(crate) fn render(arguments: &Render) -> Result<(), Failure> {
     let path = pictures.place(done < frames.len())?;
     print(&format!("{done_frames}, {names}, in {}", path.display()));
     if done < frames.len() { Err(Failure::Interrupted) } else { Ok(()) }
+}
+
+/// Gives views of one's own the exposures that the camera would have chosen there, where the run's frames
+/// tell how: settled for a single pose, along the way for poses whose times rise.
+fn expose(
+    frames: &mut [FrameEstimate],
+    reconstruction: &Reconstruction,
+    progress: &Progress,
+) -> Result<(), Failure> {
+    let mut meter = reconstruction.light_meter();
+    let fit = meter.fit(|done, total| {
+        progress.step("metering", done, total);
+        if interrupt::requested() { Err(Failure::Interrupted) } else { Ok(()) }
+    })?;
+    let Some(camera) = fit.and_then(|fit| fit.better_than_constant()) else { return Ok(()) };
+    let (mut way, mut last) = (camera.follow(), f64::NEG_INFINITY);
+    for frame in frames {
+        if frame.timestamp <= last {
+            way = camera.follow();
+        }
+        last = frame.timestamp;
+        meter.expose(frame, &mut way);
+    }
+    Ok(())
 }
 
 /// File with the poses of rendered pictures.
@@ -209,7 +236,10 @@ fn frames(
     if let Some(file) = &arguments.poses {
         let poses = read_trajectory(file)?.into_iter().enumerate();
         return Ok(poses
-            .map(|(i, pose)| reconstruction.virtual_frame(i, pose.world_from_camera))
+            .map(|(i, pose)| FrameEstimate {
+                timestamp: pose.timestamp,
+                ..reconstruction.virtual_frame(i, pose.world_from_camera)
+            })
             .collect());
     }
     let mut frames = reconstruction.frames.clone();

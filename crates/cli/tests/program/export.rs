@@ -163,6 +163,8 @@ fn what_cannot_be_exported_is_told() {
     refused(&["--format", "glb"], ".glb");
     refused(&["--format", "tum", "--min-opacity", "0.5"], "the path alone");
     refused(&["--format", "mesh", "--linear"], "--linear is not for mesh");
+    let constant = ["--format", "ply", "--constant-exposure"];
+    refused(&constant, "--constant-exposure is for --format video");
     refused(&["--format", "ply", "--voxel", "0.1"], "--voxel is for --format mesh");
     refused(&["--format", "ply", "--crop", "0 0 0"], "six numbers");
     refused(&["--format", "ply", "--up", "down"], "expected `estimate`");

@@ -1,8 +1,10 @@
 //! Renders of a reconstruction.
 
 mod hole_filling;
+mod light_meter;
 mod pose_optimization;
 
+pub use light_meter::LightMeter;
 pub use pose_optimization::OptimisedPose;
 
 use crate::objective::{

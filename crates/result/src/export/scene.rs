@@ -42,6 +42,9 @@ pub struct Selection {
     pub linear: bool,
     /// Whether frames that are no keyframes are left out.
     pub keyframes: bool,
+    /// Whether all pictures of a video have the exposure that is typical of the run, in place of those that
+    /// the camera would have chosen.
+    pub constant_exposure: bool,
 }
 
 /// What is exported.
@@ -52,6 +55,7 @@ pub struct Scene {
     pub(crate) frames: Vec<FrameEstimate>,
     level_from_world: Rotation<f64>,
     pub(crate) linear: bool,
+    pub(crate) constant_exposure: bool,
 }
 
 impl Scene {
@@ -91,7 +95,8 @@ impl Scene {
                 ));
             }
         }
-        Ok(Self { reconstruction, frames, level_from_world, linear: selection.linear })
+        let Selection { linear, constant_exposure, .. } = *selection;
+        Ok(Self { reconstruction, frames, level_from_world, linear, constant_exposure })
     }
 
     /// Frames that have a pose.

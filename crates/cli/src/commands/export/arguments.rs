@@ -41,6 +41,9 @@ pub(crate) struct Export {
     /// Colours as linear radiance, not as a picture
     #[arg(long)]
     pub(crate) linear: bool,
+    /// One exposure for all pictures of a video, not those that the camera would have chosen
+    #[arg(long)]
+    pub(crate) constant_exposure: bool,
     /// Keyframes alone, not all frames
     #[arg(long)]
     pub(crate) keyframes: bool,
@@ -112,9 +115,9 @@ impl Export {
         }
         let crop = self.crop.as_deref().map(parse_crop).transpose()?;
         self.check_flags_of_formats()?;
-        let (up, linear, keyframes) = (parse_up(&self.up)?, self.linear, self.keyframes);
-        let min_views = self.min_views.unwrap_or(0);
-        Ok(Selection { crop, min_opacity, min_views, up, linear, keyframes })
+        let (up, min_views) = (parse_up(&self.up)?, self.min_views.unwrap_or(0));
+        let Self { linear, keyframes, constant_exposure, .. } = *self;
+        Ok(Selection { crop, min_opacity, min_views, up, linear, keyframes, constant_exposure })
     }
 }
 
@@ -135,6 +138,9 @@ impl Export {
         );
         if self.linear && !is_linear_possible {
             return Err(Failure::Usage(format!("--linear is not for {}", format.name())));
+        }
+        if self.constant_exposure && format != Format::Video {
+            return Err(Failure::Usage("--constant-exposure is for --format video".to_owned()));
         }
         match self.voxel {
             None => Ok(()),

@@ -14,6 +14,7 @@ use crate::progress::Progress;
 use crate::result_folder::refuse_non_results;
 use arguments::Format;
 use i2slam_result::UnitOfLength;
+use i2slam_result::export::video::Video;
 use i2slam_result::export::{
     Axes, ExportError, MARK, Scene, Watch, colmap, compressed_ply, csv, glb, mesh, nerfstudio, ply,
     tum, video,
@@ -79,8 +80,8 @@ fn write(arguments: &Export, scene: &Scene, watch: &Watch<'_>) -> Result<String,
         }
         Format::Mesh => write_mesh(arguments, scene, watch),
         Format::Video => {
-            let (pictures, seconds) = video::write(scene, out, &mark("video"), watch)?;
-            Ok(format!("{}, {seconds:.1} s", counted(pictures, "picture")))
+            let video = video::write(scene, out, &mark("video"), watch)?;
+            Ok(described(&video))
         }
         Format::Tum => {
             write_text(out, &tum(scene, &mark("tum")))?;
@@ -91,6 +92,18 @@ fn write(arguments: &Export, scene: &Scene, watch: &Watch<'_>) -> Result<String,
             Ok(counted(scene.frames(), "frame"))
         }
     }
+}
+
+/// What is in a video.
+fn described(video: &Video) -> String {
+    let length = format!("{}, {:.1} s", counted(video.pictures, "picture"), video.seconds);
+    let Some(fit) = video.exposure else { return format!("{length}, at one exposure") };
+    let [error, constant] = [fit.error, fit.constant_error].map(|e| e / std::f64::consts::LN_2);
+    let meter = fit.controller.meter.name();
+    format!(
+        "{length}, exposed by the {meter} ({error:.2} stops off where frames are left out, {constant:.2} at one \
+         exposure)"
+    )
 }
 
 /// Writes pictures and points as a folder; says how many there are.
