@@ -28,6 +28,11 @@ test:
 test-data *NAMES:
     cargo test --workspace -- --ignored {{NAMES}}
 
+# The program with --rerun, outside of the workspace: lints, test, target/release/i2slam in its folder
+rerun:
+    cd crates/rerun && cargo fmt --check && cargo clippy --all-targets -- -D warnings
+    cd crates/rerun && cargo test && cargo build --release
+
 # Damaged files for every reader, for hours: `just fuzz --seconds 7200 tum sens`; the seed is printed
 fuzz *OPTIONS="--seconds 3600":
     cargo run -p i2slam-fuzz -- {{OPTIONS}}

@@ -26,6 +26,7 @@ const ARROWS: &[(&str, &[&str])] = &[
     ("result", &["storage", "compute", "i2slam"]),
     ("cli", &["storage", "i2slam", "result", "eval", "synthetic"]),
     ("bench", &["storage", "i2slam", "result", "eval", "synthetic"]),
+    ("rerun", &["i2slam", "result", "cli"]),
     ("fuzz", &["check", "storage", "compute", "i2slam", "result", "eval", "synthetic"]),
 ];
 

@@ -57,6 +57,15 @@ pub(crate) struct Live {
     pub(crate) live: Option<u16>,
 }
 
+/// A recording of the run for another program.
+#[derive(Args, Clone, Debug)]
+pub(crate) struct Rerun {
+    /// Write a recording of the finished run for the viewer Rerun: path, pictures as filmed, exposure,
+    /// blur, map (docs/export.md says how to build the program with it)
+    #[arg(long, value_name = "FILE.rrd")]
+    pub(crate) rerun: Option<PathBuf>,
+}
+
 #[derive(Args, Clone, Debug)]
 pub(crate) struct Machine {
     /// Threads to use [default: all cores]; results do not depend on it

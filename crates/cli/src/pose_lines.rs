@@ -2,6 +2,7 @@
 
 use crate::console::print_status;
 use crate::failure::Failure;
+use crate::output_file::check_folder;
 use i2slam::geometry::StampedPose;
 use i2slam_result::{UnitOfLength, online_trajectory, trajectory_line};
 use std::fs::OpenOptions;
@@ -35,20 +36,12 @@ impl PoseLines {
         unit: UnitOfLength,
     ) -> Result<Self, Failure> {
         let refused = |why: &str| Err(Failure::Usage(format!("--poses {}: {why}", path.display())));
-        let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty());
-        let place = parent.unwrap_or(Path::new(".")).canonicalize();
         if path != Path::new("-") {
             if path.is_file() {
                 return refused("the file exists, choose another name");
             }
-            let Ok(place) = place else { return refused("there is no such folder") };
-            let is_within = |folder: &&Path| {
-                folder.canonicalize().is_ok_and(|folder| place.starts_with(folder))
-            };
-            if folders.iter().any(is_within) {
-                return refused(
-                    "it would be in the dataset or among the results, choose another folder",
-                );
+            if let Err(why) = check_folder(path, folders) {
+                return refused(why);
             }
         }
         let head = online_trajectory(&[], unit);

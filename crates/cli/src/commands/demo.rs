@@ -1,9 +1,10 @@
 //! `i2slam demo`: the clip inside the program, reconstructed.
 
-use crate::arguments::{Live, Machine};
+use crate::arguments::{Live, Machine, Rerun};
 use crate::console::print_status;
 use crate::failure::Failure;
 use crate::reconstruction::{self, Job, RenderSelection};
+use crate::recording::{Recorder, Recording};
 use clap::Args;
 use i2slam::RunOptions;
 use i2slam_storage::{Claim, OutputFolder};
@@ -20,18 +21,21 @@ pub(crate) struct Demo {
     #[command(flatten)]
     pub(crate) live: Live,
     #[command(flatten)]
+    pub(crate) rerun: Rerun,
+    #[command(flatten)]
     pub(crate) machine: Machine,
 }
 
 include!(concat!(env!("OUT_DIR"), "/clip.rs"));
 
-pub(crate) fn demo(arguments: &Demo) -> Result<(), Failure> {
+pub(crate) fn demo(arguments: &Demo, recorder: Option<Recorder>) -> Result<(), Failure> {
     arguments.machine.use_threads()?;
     let (options, usual) = match arguments.rgb {
         true => (RunOptions::colour_alone(), "i2slam-demo-rgb"),
         false => (RunOptions::with_depth(), "i2slam-demo"),
     };
     let out = arguments.out.clone().unwrap_or_else(|| usual.into());
+    let recording = Recording::of(&arguments.rerun, recorder, [&out, &out], false)?;
     let job = Job {
         dataset: out.join("clip"),
         out,
@@ -43,6 +47,7 @@ pub(crate) fn demo(arguments: &Demo) -> Result<(), Failure> {
         quiet: arguments.machine.quiet,
         poses: None,
         live: arguments.live.start()?,
+        recording,
         title: Some("demo clip"),
     };
     job.check_output()?;

@@ -13,6 +13,7 @@ mod run;
 mod synth;
 
 use crate::failure::Failure;
+use crate::recording::Recorder;
 use clap::{Parser, Subcommand};
 
 /// SLAM that inverts image formation: a blurred, exposure-drifting video goes in, with depth or
@@ -56,14 +57,14 @@ pub(crate) enum Command {
     Info(info::Info),
 }
 
-/// Runs a subcommand.
-pub(crate) fn dispatch(command: Command) -> Result<(), Failure> {
+/// Runs a subcommand; `recorder` writes the file of `--rerun`.
+pub(crate) fn dispatch(command: Command, recorder: Option<Recorder>) -> Result<(), Failure> {
     match command {
-        Command::Run(arguments) => run::run(&arguments),
+        Command::Run(arguments) => run::run(&arguments, recorder),
         Command::Render(arguments) => render::render(&arguments),
         Command::Export(arguments) => export::export(&arguments),
         Command::Eval(arguments) => eval::eval(&arguments),
-        Command::Demo(arguments) => demo::demo(&arguments),
+        Command::Demo(arguments) => demo::demo(&arguments, recorder),
         Command::Presets(arguments) => presets::presets(&arguments),
         Command::Synth(arguments) => synth::synth(&arguments),
         Command::Degrade(arguments) => degrade::degrade(&arguments),

@@ -1,12 +1,13 @@
 //! `i2slam run`: reconstructs a sequence into a result folder.
 
-use crate::arguments::{Input, Live, Machine};
+use crate::arguments::{Input, Live, Machine, Rerun};
 use crate::console::print_status;
 use crate::failure::Failure;
 use crate::held_out_frames::{HoldOut, parse_hold_out};
 use crate::interrupt::{self, Reading};
 use crate::pose_lines::PoseLines;
 use crate::reconstruction::{self, Job, RenderSelection};
+use crate::recording::{Recorder, Recording};
 use clap::builder::PossibleValuesParser;
 use clap::{Args, ValueEnum};
 use i2slam::config::{MapKind, PRESET_NAMES, line_of_key};
@@ -74,6 +75,8 @@ pub(crate) struct Run {
     pub(crate) poses: Option<PathBuf>,
     #[command(flatten)]
     pub(crate) live: Live,
+    #[command(flatten)]
+    pub(crate) rerun: Rerun,
     /// Which frames to render under renders/ [default: all; none of a video on a hash grid, which is
     /// slow to render: `i2slam render` does it later]
     #[arg(long, value_enum, value_name = "WHICH")]
@@ -161,9 +164,9 @@ pub(crate) enum KeyframeDepth {
     Pictures,
 }
 
-pub(crate) fn run(arguments: &Run) -> Result<(), Failure> {
+pub(crate) fn run(arguments: &Run, recorder: Option<Recorder>) -> Result<(), Failure> {
     if is_stream(&arguments.dataset) {
-        return run_stream(arguments);
+        return run_stream(arguments, recorder);
     }
     if !arguments.rgb && is_without_depth(&arguments.dataset) {
         if !arguments.machine.quiet && !is_video(&arguments.dataset) {
@@ -172,13 +175,13 @@ pub(crate) fn run(arguments: &Run) -> Result<(), Failure> {
                 "{name} has pictures and no depth: run by colour alone, as with --rgb"
             ));
         }
-        return reconstruction::run(&job(&Run { rgb: true, ..arguments.clone() })?);
+        return reconstruction::run(&job(&Run { rgb: true, ..arguments.clone() }, recorder)?);
     }
-    reconstruction::run(&job(arguments)?)
+    reconstruction::run(&job(arguments, recorder)?)
 }
 
 /// Runs on a stream: with depth, if there is any.
-fn run_stream(arguments: &Run) -> Result<(), Failure> {
+fn run_stream(arguments: &Run, recorder: Option<Recorder>) -> Result<(), Failure> {
     let name = arguments.dataset.display();
     if arguments.keyframes.is_some() {
         return Err(Failure::Usage(format!(
@@ -204,6 +207,7 @@ fn run_stream(arguments: &Run) -> Result<(), Failure> {
     let options = RunOptions::new(settings, poses);
     // What lies in the way is said before a stream is read that may have no end.
     pose_lines(arguments, &options)?;
+    recording(arguments, recorder)?;
     reconstruction::check_output(&arguments.dataset, &arguments.out()?, arguments.overwrite)?;
     let open = arguments.input.open_options(options.open)?;
     // With depth a camera is needed, which is asked for once depth was seen.
@@ -221,10 +225,10 @@ fn run_stream(arguments: &Run) -> Result<(), Failure> {
     let reading = Reading::start();
     let live = options.open_stream(&arguments.dataset, end)?;
     let arguments = Run { rgb: !live.has_depth(), ..arguments.clone() };
-    reconstruction::run_stream(&job(&arguments)?, live, reading)
+    reconstruction::run_stream(&job(&arguments, recorder)?, live, reading)
 }
 
-fn job(arguments: &Run) -> Result<Job<'_>, Failure> {
+fn job(arguments: &Run, recorder: Option<Recorder>) -> Result<Job<'_>, Failure> {
     let config = settings(arguments)?;
     arguments.machine.use_threads()?;
     let poses = pose_source(arguments, &config)?;
@@ -247,6 +251,7 @@ fn job(arguments: &Run) -> Result<Job<'_>, Failure> {
         quiet: arguments.machine.quiet,
         poses,
         live: arguments.live.start()?,
+        recording: recording(arguments, recorder)?,
         title: None,
     })
 }
@@ -266,6 +271,13 @@ fn pose_lines(arguments: &Run, options: &RunOptions) -> Result<Option<Arc<PoseLi
     let out = arguments.out()?;
     let folders = [arguments.dataset.as_path(), out.as_path()];
     Ok(Some(Arc::new(PoseLines::new(path, folders, unit)?)))
+}
+
+/// The recording, where one is asked for.
+fn recording(arguments: &Run, recorder: Option<Recorder>) -> Result<Option<Recording>, Failure> {
+    let out = arguments.out()?;
+    let folders = [arguments.dataset.as_path(), out.as_path()];
+    Recording::of(&arguments.rerun, recorder, folders, arguments.overwrite)
 }
 
 /// Settings of the preset, replaced by those of the file, then by flags.

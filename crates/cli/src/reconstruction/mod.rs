@@ -12,6 +12,7 @@ use crate::interrupt::Reading;
 use crate::live_viewer::LiveViewer;
 use crate::pose_lines::PoseLines;
 use crate::progress::Progress;
+use crate::recording::Recording;
 use crate::{interrupt, messages};
 use i2slam::dataset::{DatasetError, LiveSequence, RecordedSequence, Sequence, is_video};
 use i2slam::run::{TrackedStream, reconstruct_stream};
@@ -43,6 +44,8 @@ pub(crate) struct Job<'a> {
     pub(crate) poses: Option<Arc<PoseLines>>,
     /// Page that follows the run.
     pub(crate) live: Option<Arc<LiveViewer>>,
+    /// Recording of the finished run for another program.
+    pub(crate) recording: Option<Recording>,
     /// Title of the report [default: name of the sequence].
     pub(crate) title: Option<&'static str>,
 }

@@ -6,6 +6,7 @@ use crate::failure::Failure;
 use crate::ground_truth::{GroundTruth, range_stops};
 use crate::messages::displaced_files;
 use crate::progress::Progress;
+use crate::recording::RecordedRun;
 use crate::taken_pictures::taken_pictures;
 use i2slam::dataset::{OpenOptions, Sequence};
 use i2slam::geometry::StampedPose;
@@ -98,6 +99,11 @@ impl FinishedRun<'_> {
             viewer: page.map(|page| page.len()),
         };
         note(report.save(folder));
+        if let Some(recording) = &self.job.recording {
+            let mut load = taken_pictures(self.sequence);
+            let run = RecordedRun { title, reconstruction, load_picture: &mut load };
+            note(recording.write(run).map_err(ResultError::from));
+        }
         measurements.metrics.complete &= problems.is_empty();
         if let Err(error) = save_metrics(folder, &measurements.metrics) {
             measurements.metrics.complete = false;

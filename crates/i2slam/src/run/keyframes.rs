@@ -202,7 +202,7 @@ fn odometry_progress(context: &RunContext, forecaster: Option<Forecaster>) -> Od
         observer.progress(Stage::Odometry(stage), done, of);
         let keyframes::Stage::Tracking { keyframes } = stage else { return };
         let Ok(mut forecaster) = forecaster.lock() else { return };
-        let forecast = forecaster.as_mut().and_then(|f| f.after(done, keyframes));
+        let forecast = forecaster.as_mut().and_then(|f| f.after(done, keyframes, 0));
         forecast.iter().for_each(|forecast| observer.forecast(forecast));
     })
 }

@@ -87,8 +87,8 @@ pub trait Observer: Send + Sync {
     /// Visual odometry has estimated the camera.
     fn camera(&self, _camera: &CameraEstimate) {}
 
-    /// The duration of the run was extrapolated from its first frames; by colour alone, at most
-    /// once.
+    /// The duration of the run was extrapolated from its first frames, where the front end finds the
+    /// path; at most once.
     fn forecast(&self, _forecast: &RuntimeForecast) {}
 
     /// Token that ends the run early, asked for at its start; never cancelled by default.

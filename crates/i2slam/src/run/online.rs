@@ -15,8 +15,8 @@ use crate::reconstruction::{FrameEstimate, Reconstruction};
 use crate::session::{MappedFrames, OnlineMapping, OnlineSession, OnlineUpdate, SessionError};
 use i2slam_dataset::{Frame, Sequence};
 use i2slam_geometry::StampedPose;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
 
 /// Frames and corrections that wait for the map at most.
 const MAX_WAITING: usize = 32;
@@ -45,9 +45,10 @@ pub(super) fn find_path(
 ) -> Result<FoundPath, RunError> {
     let large = sequence.at_least(ODOMETRY_SIDE);
     let forecaster = Forecaster::of_online(&options.config, sequence);
-    let mut frames = OnlineFrames::start((sequence, &large), options, context, Some(forecaster));
+    let mut frames = OnlineFrames::start((sequence, &large), options, context);
+    let progress = forecasting_progress(context, forecaster, Arc::clone(&frames.mapped));
     let is_one_size = large.camera == sequence.camera;
-    let given = GivenPictures::give(sequence.len(), &progress(context), |place| {
+    let given = GivenPictures::give(sequence.len(), &progress, |place| {
         let tracked = picture(&large, place)?;
         let mapped = if is_one_size { tracked.clone() } else { picture(sequence, place)? };
         frames.session.wait_for_map(MAX_WAITING);
@@ -76,12 +77,11 @@ impl OnlineFrames {
         (sequence, large): (&Sequence, &Sequence),
         options: &RunOptions,
         context: &RunContext,
-        forecaster: Option<Forecaster>,
     ) -> Self {
         let mapped = Arc::<MappedCount>::default();
         let camera = (sequence.camera, sequence.frame_rate);
         let session = new_session(&KEYFRAMES, options, context, (camera, sequence));
-        let on_mapped = listener(sequence, context, Arc::clone(&mapped), forecaster);
+        let on_mapped = listener(sequence, context, Arc::clone(&mapped));
         let session = OnlineSession::of(session, large.camera, on_mapped);
         let (given, frame_rate) = (GivenPictures::default(), sequence.frame_rate);
         Self { session, mapped, given, first: None, frame_rate }
@@ -182,26 +182,36 @@ impl MappedCount {
     }
 }
 
-/// Passes every frame on that was mapped, and a forecast as soon as there is one.
+/// Passes every frame on that was mapped.
 fn listener(
     sequence: &Sequence,
     context: &RunContext,
     mapped: Arc<MappedCount>,
-    mut forecaster: Option<Forecaster>,
 ) -> impl FnMut(&FrameEstimate, &dyn Fn() -> Reconstruction) + Send + 'static {
     let observer: Arc<dyn Observer> = Arc::clone(&context.observer);
-    let indices: Vec<usize> = sequence.entries.iter().map(|entry| entry.index).collect();
-    mapped.total.store(indices.len(), Ordering::Relaxed);
-    let mut keyframes = 0;
+    mapped.total.store(sequence.len(), Ordering::Relaxed);
     move |estimate, current| {
         let done = mapped.done.fetch_add(1, Ordering::Relaxed) + 1;
         observer.frame(estimate, done, mapped.total.load(Ordering::Relaxed).max(done));
         observer.map(current);
-        keyframes += usize::from(estimate.keyframe);
-        let through = indices.partition_point(|index| *index <= estimate.index);
-        let forecast = forecaster.as_mut().and_then(|f| f.after(through, keyframes));
-        forecast.iter().for_each(|forecast| observer.forecast(forecast));
     }
+}
+
+/// Passes the progress of visual odometry on, and a forecast as soon as there is one.
+fn forecasting_progress(
+    context: &RunContext,
+    forecaster: Forecaster,
+    mapped: Arc<MappedCount>,
+) -> OdometryProgress {
+    let observer: Arc<dyn Observer> = Arc::clone(&context.observer);
+    let (passed_on, forecaster) = (progress(context), Mutex::new(forecaster));
+    OdometryProgress::new(context.cancellation.clone(), move |stage, done, of| {
+        passed_on.report(stage, done, of);
+        let keyframes::Stage::Tracking { keyframes } = stage else { return };
+        let Ok(mut forecaster) = forecaster.lock() else { return };
+        let forecast = forecaster.after(done, keyframes, mapped.done());
+        forecast.iter().for_each(|forecast| observer.forecast(forecast));
+    })
 }
 
 /// Passes the progress of visual odometry on.

@@ -67,7 +67,7 @@ impl TrackedStream {
         let mut frames = match is_mapped {
             true => {
                 let sizes = (first, &large);
-                let frames = OnlineFrames::start(sizes, options, &context, None);
+                let frames = OnlineFrames::start(sizes, options, &context);
                 TrackedFrames::Mapped(Box::new(frames))
             }
             false => TrackedFrames::Unmapped(Box::new(TrackedPictures::new(camera))),
