@@ -179,26 +179,31 @@ fn white_balance(frames: &[FrameEstimate]) -> Plot {
     plot
 }
 
+/// Stops below saturation that the plot of the response shows.
+const RESPONSE_STOPS: f64 = 14.0;
+
 fn response(report: &Report<'_>) -> Plot {
     let mut plot = over_frames(
         "Camera response",
-        "How the camera turns light (0 is none, 1 just saturates) into picture values. Dashed: the \
-         sRGB standard.",
+        "How the camera turns light into picture values; 0 stops just saturate. Dashed: the sRGB \
+         standard.",
         "picture value",
     );
-    plot.x_label = "light reaching the sensor".to_owned();
+    plot.x_label = "light reaching the sensor [stops]".to_owned();
     let responses = &report.reconstruction.responses;
     let srgb = i2slam::formation::StartCurve::Srgb;
     let Some(response) = responses.get(responses.len() / 2) else { return plot };
     let curve = response.curve();
-    let standard = curve.positions().iter().map(|&x| f64::from(x)).map(|x| (x, srgb.evaluate(x)));
+    let stops = |&x: &f32| Some(f64::from(x).log2()).filter(|stops| *stops >= -RESPONSE_STOPS);
+    let positions = curve.positions();
+    let standard = positions.iter().filter_map(stops).map(|s| (s, srgb.evaluate(s.exp2())));
     plot.series.push(Series::line("sRGB", "grey", standard).styled(Style::Dashed));
     let names: &[&str] =
         if curve.curves() == 1 { &["all colours"] } else { &["red", "green", "blue"] };
     for (channel, name) in names.iter().enumerate() {
         let colour = if curve.curves() == 1 { "c1" } else { ["red", "green", "blue"][channel] };
-        let values = curve.positions().iter().zip(curve.values(channel));
-        let values = values.map(|(&x, &y)| (f64::from(x), f64::from(y)));
+        let values = positions.iter().zip(curve.values(channel));
+        let values = values.filter_map(|(x, &y)| Some((stops(x)?, f64::from(y))));
         plot.series.push(Series::line(name, colour, values));
     }
     plot
