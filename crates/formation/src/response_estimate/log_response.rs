@@ -29,7 +29,7 @@ const POWERS: [f64; 2] = [1.0, 8.0];
 #[derive(Clone, Debug, PartialEq)]
 pub struct LogResponse {
     /// `d` at the knots.
-    deviations: [f64; COUNT],
+    offsets: [f64; COUNT],
     rows: Vec<Row>,
 }
 
@@ -83,12 +83,12 @@ fn knot(y: f64) -> (usize, f64) {
 
 impl LogResponse {
     /// The curve of `d` at the knots, on a start curve given by [`log_slopes`].
-    pub(super) fn new(start: &[f64], deviations: [f64; COUNT]) -> Self {
+    pub(super) fn new(start: &[f64], offsets: [f64; COUNT]) -> Self {
         let mut rows: Vec<Row> = Vec::with_capacity(start.len());
         for (index, log_slope) in start.iter().enumerate() {
             let y = (FIRST_ROW + index) as f64 / STEPS as f64;
             let (left, share) = knot(y);
-            let d = deviations[left] * (1.0 - share) + deviations[left + 1] * share;
+            let d = offsets[left] * (1.0 - share) + offsets[left + 1] * share;
             let slope = (log_slope + d).exp();
             let mut row = Row { slope, knot: (left, share), ..Row::default() };
             if let Some(last) = rows.last() {
@@ -103,12 +103,12 @@ impl LogResponse {
             }
             rows.push(row);
         }
-        Self { deviations, rows }
+        Self { offsets, rows }
     }
 
     /// `d` at the knots.
-    pub(super) fn deviations(&self) -> &[f64; COUNT] {
-        &self.deviations
+    pub(super) fn offsets(&self) -> &[f64; COUNT] {
+        &self.offsets
     }
 
     /// The row before a picture value and the share of the next one.

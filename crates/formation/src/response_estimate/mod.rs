@@ -12,16 +12,17 @@
 //! curve gives it, until blur tells it ([`estimate_power`]).
 //!
 //! Residuals count in the noise of the picture values, `ε = (h(y₁) - h(y₂) - g) / D` with
-//! `D² = (h'σ)₁² + (h'σ)₂²`: compared in `h`, a flat curve would explain everything. The density of `y₂` given
-//! `y₁` has the factor `h'₂ / D`, so that the cost of a point is
+//! `D² = (h'σ)₁² + (h'σ)₂²`: compared in `h`, a flat curve would explain everything. The density of
+//! `y₂` given `y₁` has the factor `h'₂ / D`, so that the cost of a point is
 //!
 //! ```text
 //! ε² + ln(D² / ((h'σ)₁ (h'σ)₂))
 //! ```
 //!
-//! without whose second term curves that grow exponentially would explain everything, too. Geman and McClure's loss, `ε²/(1 + ε²/c²)`,
-//! is bounded: under one that is not, outliers bend the curve until they cost less. Gauss-Newton with
-//! Levenberg's damping on `d` at the knots ([`LogResponse`]), which is a random walk from knot to knot.
+//! without whose second term curves that grow exponentially would explain everything, too. The loss of
+//! `ε` is `ε²/(1 + ε²/c²)` (Geman and McClure 1985), which is bounded: under one that is not, outliers
+//! bend the curve until they cost less. Gauss-Newton with Levenberg's damping on the offsets `d` of the
+//! logarithmic slope at the knots ([`LogResponse`]), which are a random walk from knot to knot.
 
 mod blur_power;
 mod log_response;
@@ -78,8 +79,8 @@ fn robust_deviation(
             (h1 - h2 - point.log_vignetting, a.hypot(b), ((a * a + b * b) / (a * b)).ln())
         });
         let residuals: Vec<(f64, f64, f64)> = residuals.collect();
-        let weights: f64 = residuals.iter().map(|(_, deviation, _)| deviation.powi(-2)).sum();
-        let gain = residuals.iter().map(|(r, d, _)| r / (d * d)).sum::<f64>() / weights;
+        let mut differences: Vec<f64> = residuals.iter().map(|(r, _, _)| *r).collect();
+        let gain = median(&mut differences).unwrap_or(0.0);
         let points = residuals.into_iter().map(move |(r, d, log)| (((r - gain) / d).abs(), log));
         points.collect::<Vec<(f64, f64)>>()
     };
@@ -105,7 +106,8 @@ pub fn deviation_by_response(
 }
 
 /// Robust deviation of the residuals by a curve.
-pub fn deviation_by_curve(groups: &[Vec<ValuePair>], response: &LogResponse) -> Option<f64> {
+#[cfg(test)]
+fn deviation_by_curve(groups: &[Vec<ValuePair>], response: &LogResponse) -> Option<f64> {
     robust_deviation(groups, |y| (response.log_linear(y), response.slope(y)))
 }
 
@@ -128,8 +130,8 @@ pub fn estimate(groups: &[Vec<ValuePair>], repeats: f64, start: StartCurve) -> O
         let system = objective.normal_equations(&best);
         let cost = objective.cost(&best);
         for _ in 0..6 {
-            let deviations = system.step(best.deviations(), damping)?;
-            let next = LogResponse::new(&start, deviations);
+            let offsets = system.step(best.offsets(), damping)?;
+            let next = LogResponse::new(&start, offsets);
             if objective.cost(&next) <= cost {
                 best = next;
                 damping *= 0.3;
@@ -138,7 +140,7 @@ pub fn estimate(groups: &[Vec<ValuePair>], repeats: f64, start: StartCurve) -> O
             damping *= 10.0;
         }
     }
-    best.deviations().iter().all(|d| d.is_finite()).then_some(best)
+    best.offsets().iter().all(|d| d.is_finite()).then_some(best)
 }
 
 fn robust_scale(groups: &[&Vec<ValuePair>], curve: &LogResponse) -> Option<f64> {
@@ -188,7 +190,9 @@ impl Residuals {
         let mean = |of: &dyn Fn(&PointResidual) -> f64| {
             points.iter().map(|point| of(point) / point.deviation.powi(2)).sum::<f64>() / weights
         };
-        let gain = mean(&|point| point.residual);
+        // Outliers do not move the median, of which the derivative is taken as that of the mean.
+        let mut differences: Vec<f64> = points.iter().map(|point| point.residual).collect();
+        let gain = median(&mut differences).unwrap_or(0.0);
         let gain_by_knots: [f64; COUNT] = std::array::from_fn(|k| mean(&|point| point.by_knots[k]));
         for point in &mut points {
             point.residual = (point.residual - gain) / point.deviation;
@@ -272,7 +276,7 @@ impl Objective<'_> {
             residuals.points.iter().zip(weights).map(loss).sum::<f64>()
         };
         let sums: Vec<f64> = self.groups.par_iter().zip(&self.weights).map(of_group).collect();
-        self.share * sums.iter().sum::<f64>() + prior(curve.deviations())
+        self.share * sums.iter().sum::<f64>() + prior(curve.offsets())
     }
 
     fn normal_equations(&self, curve: &LogResponse) -> System {
@@ -298,7 +302,7 @@ impl Objective<'_> {
         let parts: Vec<System> = pairs.map(of_group).collect();
         let mut sum = System::default();
         parts.iter().for_each(|part| sum.merge(part));
-        sum.add_prior(curve.deviations());
+        sum.add_prior(curve.offsets());
         sum
     }
 }
@@ -308,15 +312,15 @@ fn is_tied(knot: usize) -> bool {
     (TIED[0]..=TIED[1]).contains(&KNOTS[knot])
 }
 
-fn tied_mean(deviations: &[f64; COUNT]) -> f64 {
+fn tied_mean(offsets: &[f64; COUNT]) -> f64 {
     let tied = (0..COUNT).filter(|k| is_tied(*k));
-    tied.clone().map(|k| deviations[k]).sum::<f64>() / tied.count() as f64
+    tied.clone().map(|k| offsets[k]).sum::<f64>() / tied.count() as f64
 }
 
 /// `Σ (d_{k+1} - d_k)²/σ² + w mean(d)²`.
-fn prior(deviations: &[f64; COUNT]) -> f64 {
-    let walk = deviations.windows(2).map(|w| ((w[1] - w[0]) / WALK_DEVIATION).powi(2));
-    walk.sum::<f64>() + TIE_WEIGHT * tied_mean(deviations).powi(2)
+fn prior(offsets: &[f64; COUNT]) -> f64 {
+    let walk = offsets.windows(2).map(|w| ((w[1] - w[0]) / WALK_DEVIATION).powi(2));
+    walk.sum::<f64>() + TIE_WEIGHT * tied_mean(offsets).powi(2)
 }
 
 /// Normal equations of half the cost.
@@ -347,18 +351,18 @@ impl System {
         self.gradient.iter_mut().zip(other.gradient).for_each(|(sum, value)| *sum += value);
     }
 
-    fn add_prior(&mut self, deviations: &[f64; COUNT]) {
+    fn add_prior(&mut self, offsets: &[f64; COUNT]) {
         for k in 0..COUNT - 1 {
             let mut slopes = [0.0; COUNT];
             (slopes[k], slopes[k + 1]) = (-1.0, 1.0);
-            self.add(&slopes, deviations[k + 1] - deviations[k], WALK_DEVIATION.powi(-2));
+            self.add(&slopes, offsets[k + 1] - offsets[k], WALK_DEVIATION.powi(-2));
         }
         let tied = (0..COUNT).filter(|k| is_tied(*k)).count() as f64;
         let slopes = std::array::from_fn(|k| if is_tied(k) { 1.0 / tied } else { 0.0 });
-        self.add(&slopes, tied_mean(deviations), TIE_WEIGHT);
+        self.add(&slopes, tied_mean(offsets), TIE_WEIGHT);
     }
 
-    /// The deviations after a damped step.
+    /// The offsets after a damped step.
     fn step(&self, from: &[f64; COUNT], damping: f64) -> Option<[f64; COUNT]> {
         let mut matrix: Vec<f64> = self.hessian.iter().flatten().copied().collect();
         (0..COUNT).for_each(|k| matrix[k * (COUNT + 1)] *= 1.0 + damping);

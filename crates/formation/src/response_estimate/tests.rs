@@ -84,7 +84,7 @@ fn points_that_do_not_belong_together_tell_nothing() {
     let pairs: Vec<Vec<ValuePair>> = (1..25).map(group).collect();
     let before = LogResponse::new(&log_slopes(StartCurve::Shoulder), [0.0; COUNT]);
     if let Some(found) = estimate(&pairs, 6.0, StartCurve::Shoulder) {
-        let most = found.deviations().iter().fold(0.0, |most: f64, d| most.max(d.abs()));
+        let most = found.offsets().iter().fold(0.0, |most: f64, d| most.max(d.abs()));
         let [found, before] =
             [&found, &before].map(|c| deviation_by_curve(&pairs, c).expect("points"));
         assert!(most < 1.5 && found > 0.5 * before, "{most} {found} {before}");
@@ -97,7 +97,7 @@ fn the_curve_of_the_start_is_found_again() {
     let found = estimate(&groups(|x| start.evaluate(0.2 * x.min(5.0)), 2.0), 1.0, start);
     let found = found.expect("points");
     let before = LogResponse::new(&log_slopes(start), [0.0; COUNT]);
-    assert!(error(&found, |y| before.log_linear(y)) < 0.1, "{:?}", found.deviations());
+    assert!(error(&found, |y| before.log_linear(y)) < 0.1, "{:?}", found.offsets());
 }
 
 #[test]

@@ -2,7 +2,7 @@
 //!
 //! Even spacing is one multiplication. Any other spacing goes through a table of bins whose width
 //! grows with the linear value (the leading bits of its float), fine enough that the segment of a
-//! bin's left end is nearly always the answer, also where nodes lie thousandths apart.
+//! bin's left end is nearly always the answer, however close to black the nodes lie.
 
 use super::{NODES, Segment};
 use i2slam_geometry::Real;
@@ -10,7 +10,7 @@ use i2slam_geometry::Real;
 /// Bits of the mantissa that tell bins apart: 64 bins for each octave.
 const MANTISSA_BITS: u32 = 6;
 /// Octaves below 1 that have bins; the first bin takes what is darker.
-const OCTAVES: u32 = 20;
+const OCTAVES: u32 = 40;
 const BINS: usize = (OCTAVES << MANTISSA_BITS) as usize + 1;
 const SHIFT: u32 = f32::MANTISSA_DIGITS - 1 - MANTISSA_BITS;
 /// Leading bits of the first bin's right end, `2^-OCTAVES`.

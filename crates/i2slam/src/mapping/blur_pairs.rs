@@ -65,10 +65,15 @@ pub(crate) fn compare_blurred_keyframes(
     views.unwrap_or_default().par_iter().map(of_pair).collect()
 }
 
-/// Blur of a keyframe over the depth of its observation \[px\].
+/// Blur of a keyframe over the depth of its observation \[px\]; `NaN`, neither blurred nor sharp, without
+/// depth.
 fn blur_of(context: &MappingContext<'_>, keyframe: &Keyframe) -> f64 {
-    let shutter = &context.frames[keyframe.frame].shutter;
-    blur_length(context.camera, shutter, &keyframe.observation.get().depth)
+    let (shutter, observation) =
+        (&context.frames[keyframe.frame].shutter, keyframe.observation.get());
+    match observation.depth.data.iter().any(|depth| *depth > 0.0) {
+        true => blur_length(context.camera, shutter, &observation.depth),
+        false => f64::NAN,
+    }
 }
 
 pub(super) fn moved_pixels(

@@ -5,10 +5,10 @@
 //! minimum of
 //!
 //! ```text
-//! Σ_pairs n_ij (G_i - G_j - g_ij)² + Σ_i (G_i - G°_i)²
+//! Σ_pairs n_ij (G_i - G_j - g_ij)² + n° Σ_i (G_i - G°_i)²
 //! ```
 //!
-//! with `n` the number of points, `G°` what is known so far, and the gauge frame fixed. Frames between
+//! with `n` the number of points, `n°` = 50, `G°` what is known so far, and the gauge frame fixed. Frames between
 //! keyframes take over the change of their neighbours.
 
 use i2slam_compute::{median, solve_positive_definite};
@@ -18,6 +18,10 @@ use std::collections::BTreeMap;
 
 /// Weight that fixes the gauge frame.
 const GAUGE_WEIGHT: f64 = 1e9;
+/// Points that what is known of a frame counts as, and fewest points of a pair: fewer may all lie on one
+/// edge or highlight.
+const KNOWN_POINTS: f64 = 50.0;
+const MIN_POINTS: usize = 50;
 
 /// The common points of two frames in one channel.
 pub(super) struct ChannelPairs<'a> {
@@ -39,11 +43,11 @@ pub(super) fn solve_gains(
     let count = places.len();
     let (mut matrix, mut solution) = (vec![0.0; count * count], vec![0.0; count]);
     for (&frame, &place) in &places {
-        let weight = if frame == gauge_frame { GAUGE_WEIGHT } else { 1.0 };
+        let weight = if frame == gauge_frame { GAUGE_WEIGHT } else { KNOWN_POINTS };
         matrix[place * (count + 1)] += weight;
         solution[place] += weight * known(frame);
     }
-    for pair in pairs {
+    for pair in pairs.iter().filter(|pair| pair.points.len() >= MIN_POINTS) {
         let Some(gain) = gain(pair.points, &log_linear) else { continue };
         let [i, j] = pair.frames.map(|frame| places[&frame]);
         let weight = pair.points.len() as f64;
@@ -121,16 +125,16 @@ mod tests {
     /// Points of two frames by a response of squares, one in four of something else.
     fn points(frames: [usize; 2]) -> Vec<ValuePair> {
         let point = |i: i32| {
-            let light = 0.02 + 0.004 * f64::from(i) + if i % 4 == 0 { 0.05 } else { 0.0 };
+            let light = 0.02 + 0.00004 * f64::from(i) + if i % 4 == 0 { 0.05 } else { 0.0 };
             let shown = |frame: usize, light: f64| (light * GAINS[frame].exp()).sqrt();
-            let first = shown(frames[0], 0.02 + 0.004 * f64::from(i));
+            let first = shown(frames[0], 0.02 + 0.00004 * f64::from(i));
             ValuePair {
                 values: [first, shown(frames[1], light)],
                 deviations: [0.004; 2],
                 log_vignetting: 0.0,
             }
         };
-        (0..40).map(point).collect()
+        (0..4000).map(point).collect()
     }
 
     #[test]
@@ -145,7 +149,7 @@ mod tests {
         let log = |value: f64| 2.0 * value.ln();
         let found = solve_gains(&pairs, log, 0, |_| 0.5);
         for (frame, gain) in &found {
-            // The gauge frame keeps what is known of it; of others this counts as one point of forty.
+            // The gauge frame keeps what is known of it; of others this counts as fifty points of 4000.
             let due = GAINS[*frame] + 0.5;
             assert!((gain - due).abs() < 0.06, "{frame}: {gain} {due}");
         }

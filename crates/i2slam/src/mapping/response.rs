@@ -12,8 +12,8 @@ use super::mapper::Mapper;
 use super::surface_pairs::{ComparedViews, PLACE_DEVIATION, PictureSample, SamplePair};
 use crate::config::{Config, ResponseScope};
 use i2slam_formation::response_estimate::{
-    BlurPair, BlurredPixel, MOMENTS, TIED, ValuePair, deviation_by_curve, deviation_by_response,
-    estimate, estimate_power,
+    BlurPair, BlurredPixel, MOMENTS, TIED, ValuePair, deviation_by_response, estimate,
+    estimate_power,
 };
 use i2slam_formation::{CameraResponse, FrameTone, ResponseCurve, Vignetting};
 use rayon::prelude::*;
@@ -25,10 +25,12 @@ const COMPARED: [f32; 2] = [0.08, 0.985];
 const VALUE_DEVIATION: f64 = 0.003;
 /// Ratio of the residuals' deviation by the former response to that by the found one from which it
 /// replaces it. Pictures of one exposure tell neither from the other.
-const MIN_GAIN: f64 = 1.02;
+const MIN_IMPROVEMENT: f64 = 1.02;
 /// Range of exposures [stops] from which their differences outweigh what gloss and blur do to the same
 /// points.
 const MIN_EXPOSURE_RANGE: f64 = 0.5;
+/// Frames from which one whose gain is wrong may be left out at either end of that range.
+const MANY_FRAMES: usize = 5;
 /// Picture values of blurred pixels and of what they saw.
 const BLUR_COMPARED: [f32; 2] = [0.06, 0.97];
 /// Standard deviation of the logarithm of the power that start curve and pictures of different exposure
@@ -50,8 +52,8 @@ pub(crate) fn finds_response(config: &Config) -> bool {
         && config.parameters.frames.response_prior > 0.0
 }
 
-/// Finds the response of all frames, and takes map and exposures over to it. Returns whether it did:
-/// nothing changes where the pictures do not tell, or the map cannot follow.
+/// Finds the response of all frames, and takes map and exposures over to it. Returns whether its shape was
+/// found. Nothing changes where the pictures do not tell, or the map cannot follow.
 pub(crate) fn find_response(
     mapper: &mut dyn Mapper,
     context: &mut MappingContext<'_>,
@@ -64,12 +66,18 @@ pub(crate) fn find_response(
     let points = PairedValues::new(compared, lens);
     let shape = points.better_response(response, gauge);
     let power = power_by_blur(blurred, shape.as_ref().unwrap_or(response), lens);
-    if shape.is_none() && power.is_none() {
+    let has_shape = shape.is_some();
+    if !has_shape && power.is_none() {
         return false;
     }
+    // A power that was found before stays where blur tells none this time.
+    let kept =
+        |shape: &CameraResponse<f32>| log_range(&former, TIED) / log_range(&shape.curve(), TIED);
+    let has_power = context.has_found_response;
+    let power = power.or_else(|| shape.as_ref().filter(|_| has_power).map(kept));
     let next = shape.as_ref().unwrap_or(response).raised(power.unwrap_or(1.0));
     let curve = next.curve();
-    let change = ResponseChange::new(former, curve.clone());
+    let change = ResponseChange::new(former.clone(), curve.clone());
     let stretched: Vec<FrameTone<f32>> =
         context.frames.iter().map(|frame| change.tone(&frame.tone)).collect();
     let gains = points.gains(&curve, gauge, &stretched);
@@ -84,7 +92,7 @@ pub(crate) fn find_response(
     }
     context.responses[0] = next;
     context.frames.iter_mut().zip(tones).for_each(|(frame, tone)| frame.tone = tone);
-    true
+    has_shape
 }
 
 /// The power to which linear values are to be raised: between that of the start curve and that by blur, by
@@ -148,11 +156,15 @@ fn log_vignetting(lens: Vignetting<f32>, sample: &PictureSample) -> f64 {
     f64::from(lens.at(sample.squared_radius as f32)).ln()
 }
 
-/// Range of the exposures of frames.
+/// Range of the exposures of frames, but for the longest and the shortest where there are many.
 fn range_in_stops(gains: &[BTreeMap<usize, f64>; 3]) -> f64 {
-    let green = gains[1].values().copied();
-    let range = green.clone().reduce(f64::max).zip(green.reduce(f64::min));
-    range.map_or(0.0, |(most, least)| (most - least) / 2.0_f64.ln())
+    let mut green: Vec<f64> = gains[1].values().copied().collect();
+    green.sort_unstable_by(f64::total_cmp);
+    let left_out = usize::from(green.len() > MANY_FRAMES);
+    let [Some(most), Some(least)] = [green.iter().nth_back(left_out), green.get(left_out)] else {
+        return 0.0;
+    };
+    (most - least) / 2.0_f64.ln()
 }
 
 /// Picture values of the points that pairs of frames see, by channel.
@@ -182,17 +194,22 @@ impl PairedValues {
         gauge_frame: usize,
     ) -> Option<CameraResponse<f32>> {
         let former = response.curve();
-        let deviations = (0..3).map(|c| deviation_by_response(&self.points[c], (&former, c)));
-        let before = deviations.sum::<Option<f64>>()? / 3.0;
         // Of n views, a point of the first is compared with n - 1 others, of the last with none.
         let repeats = (2.0 * self.frames.len() as f64).sqrt() / 2.0;
         let all = self.points.concat();
         let found = estimate(&all, repeats, response.start())?;
-        let after = deviation_by_curve(&all, &found)?;
         let next = found.camera_response(response.nodes.len(), response.start());
         let gains = self.gains(&next.curve(), gauge_frame, &[]);
-        let is_told = range_in_stops(&gains) >= MIN_EXPOSURE_RANGE;
-        (is_told && before > MIN_GAIN * after).then_some(next)
+        let is_observable = range_in_stops(&gains) >= MIN_EXPOSURE_RANGE;
+        let [before, after] = [&former, &next.curve()].map(|curve| self.deviation(curve));
+        (is_observable && before? > MIN_IMPROVEMENT * after?).then_some(next)
+    }
+
+    /// Deviation of the points by a response, the mean over the channels that have some.
+    fn deviation(&self, curve: &ResponseCurve<f32>) -> Option<f64> {
+        let of_channel = |c: usize| deviation_by_response(&self.points[c], (curve, c));
+        let all: Vec<f64> = (0..3).filter_map(of_channel).collect();
+        (!all.is_empty()).then(|| all.iter().sum::<f64>() / all.len() as f64)
     }
 
     /// Gains of the frames by a response; `tones` are those known so far.

@@ -218,7 +218,7 @@ impl Session {
     /// Finds response and vignetting anew, from all keyframes.
     fn calibrate_light(&mut self) {
         let has_vignetting = self.config.formation.vignetting && self.config.formation.tone;
-        let has_response = finds_response(&self.config);
+        let has_response = finds_response(&self.config) && self.mapper.gaussians() > 0;
         if !(has_vignetting || has_response) {
             return;
         }

@@ -80,6 +80,29 @@ mod tests {
     use i2slam_radiance::gaussian::{ColourActivation, Gaussian, Shape};
 
     #[test]
+    fn colours_change_by_the_frame_that_brought_them() {
+        let mut map = GaussianMap::new(Shape::Anisotropic, ColourActivation::Exponential);
+        for x in 0..3 {
+            map.push(Gaussian {
+                mean: [x as f32, 0.0, 1.0],
+                log_scale: [-3.0; 3],
+                rotation: [1.0, 0.0, 0.0, 0.0],
+                opacity_logit: 1.0,
+                colour: [x as f32, 0.5, -0.5],
+            });
+        }
+        let mut anchors = Anchors::default();
+        anchors.extend_to(1, 4);
+        anchors.extend_to(2, 9);
+        anchors.extend_to(3, 5);
+        // The index of the second is unknown.
+        let places = BTreeMap::from([(4, 1), (5, 2)]);
+        let change = |place: usize, colour: [f32; 3]| colour.map(|c| 2.0 * c + place as f32);
+        anchors.change_colours(&places, &mut map, &change);
+        assert_eq!(map.colours, [[1.0, 2.0, 0.0], [2.0, 1.0, -1.0], [6.0, 3.0, 1.0]]);
+    }
+
+    #[test]
     fn gaussians_move_with_their_frame_alone() {
         let mut map = GaussianMap::new(Shape::Anisotropic, ColourActivation::Exponential);
         let own = Rotation::exp(Vec3::new(0.3, -0.2, 0.5));

@@ -390,6 +390,10 @@ impl Mapper for GaussianMapper {
         context: &MappingContext<'_>,
         change: &dyn Fn(usize, [f32; 3]) -> [f32; 3],
     ) -> bool {
+        // What depends on the direction was fitted to the present response.
+        if !self.current.map.view_colours.is_empty() {
+            return false;
+        }
         let frames = context.frames.iter().enumerate();
         let places = frames.map(|(place, frame)| (frame.index, place)).collect();
         self.anchors.change_colours(&places, &mut self.current.map, change);
