@@ -80,12 +80,13 @@ pub(crate) trait Mapper: Send {
     ) {
     }
 
-    /// Changes log radiance by `change`, of the place of the frame that brought it and the radiance.
-    /// Returns whether the map can do so.
+    /// Changes log radiance by `change`, of the place of the frame that brought it and the radiance, and
+    /// differences of log radiance by the factor `stretch`. Returns whether the map can do so.
     fn change_radiance(
         &mut self,
         _context: &MappingContext<'_>,
         _change: &dyn Fn(usize, [f32; 3]) -> [f32; 3],
+        _stretch: f32,
     ) -> bool {
         false
     }

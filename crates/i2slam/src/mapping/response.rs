@@ -87,7 +87,7 @@ pub(crate) fn find_response(
     }
     let colour =
         |frame: usize, colour| change.colour(&context.frames[frame].tone, &tones[frame], colour);
-    if !mapper.change_radiance(context, &colour) {
+    if !mapper.change_radiance(context, &colour, change.stretch) {
         return false;
     }
     context.responses[0] = next;

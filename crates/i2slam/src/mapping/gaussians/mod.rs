@@ -389,14 +389,13 @@ impl Mapper for GaussianMapper {
         &mut self,
         context: &MappingContext<'_>,
         change: &dyn Fn(usize, [f32; 3]) -> [f32; 3],
+        stretch: f32,
     ) -> bool {
-        // What depends on the direction was fitted to the present response.
-        if !self.current.map.view_colours.is_empty() {
-            return false;
-        }
         let frames = context.frames.iter().enumerate();
         let places = frames.map(|(place, frame)| (frame.index, place)).collect();
         self.anchors.change_colours(&places, &mut self.current.map, change);
+        let by_direction = self.current.map.view_colours.coefficients_mut();
+        by_direction.iter_mut().flatten().for_each(|value| *value *= stretch);
         self.optimizer.forget_responses();
         true
     }
