@@ -52,8 +52,9 @@ pub(crate) fn finds_response(config: &Config) -> bool {
         && config.parameters.frames.response_prior > 0.0
 }
 
-/// Finds the response of all frames, and takes map and exposures over to it. Returns whether its shape was
-/// found. Nothing changes where the pictures do not tell, or the map cannot follow.
+/// Finds the response of all frames, and takes map and exposures over to it. Returns whether it did:
+/// nothing changes where the pictures do not tell, or the map cannot follow. Its nodes are not to be
+/// stepped any more: steps go on to raise its power.
 pub(crate) fn find_response(
     mapper: &mut dyn Mapper,
     context: &mut MappingContext<'_>,
@@ -66,8 +67,7 @@ pub(crate) fn find_response(
     let points = PairedValues::new(compared, lens);
     let shape = points.better_response(response, gauge);
     let power = power_by_blur(blurred, shape.as_ref().unwrap_or(response), lens);
-    let has_shape = shape.is_some();
-    if !has_shape && power.is_none() {
+    if shape.is_none() && power.is_none() {
         return false;
     }
     // A power that was found before stays where blur tells none this time.
@@ -92,7 +92,7 @@ pub(crate) fn find_response(
     }
     context.responses[0] = next;
     context.frames.iter_mut().zip(tones).for_each(|(frame, tone)| frame.tone = tone);
-    has_shape
+    true
 }
 
 /// The power to which linear values are to be raised: between that of the start curve and that by blur, by
