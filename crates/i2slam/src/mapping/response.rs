@@ -39,7 +39,7 @@ const PRIOR_DEVIATION: f64 = 0.15;
 /// Error of the power by blur beyond its scatter: interpolation, and what blur the sharp picture has.
 const POWER_ERROR: f64 = 0.1;
 /// Distance of the power by blur from what is known without, in standard deviations, at most.
-const MAX_POWER_DEVIATIONS: f64 = 3.0;
+const MAX_POWER_DEVIATIONS: f64 = 2.0;
 /// Picture values between which the former response is trusted; beyond, linear values are shifted.
 const TRUSTED: [f32; 2] = [0.05, 0.97];
 /// Picture values whose distance in stops tells by how much exposures are stretched.
