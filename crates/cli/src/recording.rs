@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 /// First bytes of a recording.
 const MAGIC: &[u8] = b"RRF2";
 
-/// What a recording is made of.
+/// Contents of a recording.
 pub struct RecordedRun<'a> {
     /// Name of the sequence.
     pub title: &'a str,

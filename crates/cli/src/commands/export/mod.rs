@@ -94,7 +94,7 @@ fn write(arguments: &Export, scene: &Scene, watch: &Watch<'_>) -> Result<String,
     }
 }
 
-/// What is in a video.
+/// Contents of a video.
 fn described(video: &Video) -> String {
     let length = format!("{}, {:.1} s", counted(video.pictures, "picture"), video.seconds);
     let Some(fit) = video.exposure else { return format!("{length}, at one exposure") };
