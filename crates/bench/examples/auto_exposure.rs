@@ -1,4 +1,4 @@
-//! How exactly exposures are predicted from what the map of a result shows.
+//! Errors of exposures that are predicted from the map of a result.
 //!
 //! ```sh
 //! cargo run -p i2slam-bench --example auto_exposure -- RESULT [DATASET/exposure.csv]

@@ -12,7 +12,7 @@ use super::metering::{Meter, Metering};
 /// view equally bright, b = 0 is a constant exposure.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AutoExposure {
-    /// What is metered.
+    /// Statistic of the light that is metered.
     pub meter: Meter,
     /// a, the logarithm of the exposure where the metered light is 1.
     pub offset: f64,

@@ -42,7 +42,7 @@ const MAX_ERROR: f64 = LN_2;
 pub struct ExposureSample {
     /// Time [s].
     pub time: f64,
-    /// What its view shows; `None` where the map shows nothing there.
+    /// Light of its view; `None` where the map shows nothing there.
     pub metering: Option<Metering>,
     /// ln Δt.
     pub log_exposure: f64,

@@ -32,7 +32,7 @@ impl Meter {
     /// Every meter, the plainest first.
     pub const ALL: [Self; 4] = [Self::Median, Self::PictureMean, Self::Mean, Self::CentreWeighted];
 
-    /// What it measures, in words.
+    /// Its name in words.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Median => "median of light",
@@ -43,12 +43,12 @@ impl Meter {
     }
 }
 
-/// What all meters read in one view: natural logarithms.
+/// Readings of all meters in one view: natural logarithms.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Metering([f64; Meter::ALL.len()]);
 
 impl Metering {
-    /// What each meter reads [ln], in any unit of light.
+    /// From the reading of each meter [ln], in any unit of light.
     pub fn new(reading: impl FnMut(Meter) -> f64) -> Self {
         Self(Meter::ALL.map(reading))
     }

@@ -23,6 +23,7 @@ pub struct FrameParameters {
     /// Spacing of the response's 256 nodes: 1 is uniform, 2.2 is even in display space.
     pub response_node_power: f32,
     /// Weight of the prior that ties the response to its start curve.
+    /// Above 0 the response is also found from pictures, where all frames share one.
     pub response_prior: f32,
     /// Learning rate while tracking: of the logarithms of exposure and white balance, and of
     /// response nodes in steps of a straight curve (1 / 255).
