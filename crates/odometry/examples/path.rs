@@ -62,7 +62,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         front_end = front_end.with_scratch(ScratchStore::new(bytes, std::env::temp_dir()));
     }
     let started = Instant::now();
-    let mut seconds = Vec::new();
+    let (mut seconds, mut focal_length_before) = (Vec::new(), front_end.camera().fx);
     for frame in sequence.stream() {
         let frame = frame?;
         let depth = frame
@@ -75,6 +75,11 @@ fn main() -> Result<(), Box<dyn Error>> {
             println!("a loop is closed when frame {} comes", update.frame);
         }
         seconds.push(pushed.elapsed().as_secs_f64());
+        let focal_length = front_end.camera().fx;
+        if update.is_keyframe && focal_length != focal_length_before {
+            println!("frame {}: focal length {focal_length:.1} px", update.frame);
+            focal_length_before = focal_length;
+        }
     }
     let tracked = started.elapsed().as_secs_f64();
     let when_last_came = front_end.path_so_far(None).trajectory();

@@ -26,7 +26,7 @@ use crate::segmentation::moving_tracks::leave_out_moving_objects;
 use crate::sfm_state::SfmState;
 use crate::track::tracker::Tracker;
 use crate::track::tracks::{Tracks, repeated_frame};
-use i2slam_geometry::{Image, Pose};
+use i2slam_geometry::{Camera, Image, Pose};
 use i2slam_storage::ScratchStore;
 use std::sync::Arc;
 
@@ -163,6 +163,12 @@ impl FrontEnd {
             delay <= MAX_DEPTH_DELAY || interval().is_some_and(|interval| delay <= interval);
         self.picture_checks.add_depth(delay, is_in_time);
         is_in_time
+    }
+
+    /// Camera with which the last poses were found: the one given, or what keyframes have made of a guess
+    /// so far. [`finish`](Self::finish) finds it from all pictures.
+    pub fn camera(&self) -> Camera<f64> {
+        self.map.state.camera
     }
 
     /// The path so far, in the world and the unit of length of [`FrameUpdate::pose`], with the

@@ -3,6 +3,14 @@
 use crate::keyframes::OdometryReconstruction;
 use i2slam_dataset::{EstimatedCamera, Sequence};
 
+/// Relative change of a focal length from which on what was made with it counts as outdated.
+const MAX_FOCAL_CHANGE: f64 = 0.02;
+
+/// True if a focal length is so far from the one before that what was made with that is outdated.
+pub(super) fn is_focal_length_changed(before: f64, now: f64) -> bool {
+    (now / before).ln().abs() > MAX_FOCAL_CHANGE
+}
+
 /// Camera of a sequence as visual odometry knows it in the end.
 #[derive(Clone, Debug)]
 pub struct CameraEstimate {

@@ -2,6 +2,7 @@
 //! after the last frame, when depth is estimated with the final poses.
 
 use super::RunOptions;
+use super::camera::is_focal_length_changed;
 use super::driver::{KEYFRAMES, new_session};
 use super::observer::{Observer, RunContext};
 use crate::config::{MapKind, TrackingMethod};
@@ -10,9 +11,6 @@ use i2slam_dataset::{Frame, Sequence};
 use i2slam_geometry::Camera;
 use i2slam_odometry::{FrameUpdate, FrontEnd};
 use std::sync::{Arc, Mutex};
-
-/// Relative change of the focal length from which on a map begins anew.
-const MAX_FOCAL_CHANGE: f64 = 0.02;
 
 /// Frames of a file that wait for the map at most.
 const MAX_WAITING: usize = 8;
@@ -58,14 +56,8 @@ impl<'a> MapPreview<'a> {
 
     /// Takes the last frame of the front end, in the size that is mapped.
     pub(super) fn add(&mut self, front_end: &FrontEnd, update: &FrameUpdate, picture: Frame) {
-        let (width, height) = (self.camera.width, self.camera.height);
-        let camera =
-            |front_end: &FrontEnd| front_end.path_so_far(None).resized(width, height).camera;
-        // The focal length is adjusted with keyframes.
-        let found = update.is_keyframe.then(|| camera(front_end));
-        let is_other =
-            |camera: &Camera<f64>| (camera.fx / self.camera.fx).ln().abs() > MAX_FOCAL_CHANGE;
-        if let Some(camera) = found.filter(is_other) {
+        let camera = front_end.camera().resized(self.camera.width, self.camera.height);
+        if is_focal_length_changed(self.camera.fx, camera.fx) {
             self.camera = camera;
             let anew =
                 mapping((self.sequence, camera), (self.options, self.context), &self.tracking);

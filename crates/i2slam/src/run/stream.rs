@@ -1,6 +1,7 @@
 //! Streams: frames are tracked while they come. Those with depth are mapped, too; others are mapped
 //! when the stream has ended.
 
+use super::camera::is_focal_length_changed;
 use super::keyframes::{ODOMETRY_SIDE, intrinsics, stamped_pose};
 use super::observer::{Observer, RunContext, Stage};
 use super::online::{self, OnlineFrames};
@@ -80,6 +81,7 @@ impl TrackedStream {
         let is_one_size = (!is_mapped && preview.is_none()) || large.camera == first.camera;
         let mut smaller = if is_one_size { None } else { Some(live.frames(first)?) };
         let mut timestamps = Vec::new();
+        let mut focal_length = large.camera.fx;
         for (position, tracked) in live.frames(&large)?.enumerate() {
             let stamps = timestamps_of(&tracked);
             let mapped = match &mut smaller {
@@ -98,6 +100,14 @@ impl TrackedStream {
             };
             timestamps.push(stamps);
             let pose = frames.push(position, (tracked, mapped), preview.as_mut());
+            let now = frames.focal_length();
+            if let Some(now) = now.filter(|now| is_focal_length_changed(focal_length, *now)) {
+                let width = large.camera.width;
+                context.observer.note(&format!(
+                    "the focal length is {now:.0} px now at a width of {width}, {focal_length:.0} before"
+                ));
+                focal_length = now;
+            }
             pose.iter().for_each(|pose| context.observer.pose(pose));
             context.observer.progress(frames.stage(), position + 1, 0);
         }
@@ -146,6 +156,14 @@ impl TrackedFrames {
             }
         });
         pose
+    }
+
+    /// Focal length with which the last pose was found [px], where it may be a guess.
+    fn focal_length(&self) -> Option<f64> {
+        match self {
+            Self::Unmapped(pictures) => Some(pictures.camera().fx),
+            Self::Mapped(_) => None,
+        }
     }
 
     fn given(&self) -> &GivenPictures {

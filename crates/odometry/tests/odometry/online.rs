@@ -21,15 +21,15 @@ fn updates(
     with_depth: bool,
     is_covered: impl Fn(usize) -> bool,
 ) -> Vec<FrameUpdate> {
-    updates_of(Intrinsics::Known(camera()), path, with_depth, is_covered)
+    tracked(Intrinsics::Known(camera()), path, with_depth, is_covered).1
 }
 
-fn updates_of(
+fn tracked(
     intrinsics: Intrinsics,
     path: &[Pose<f64>],
     with_depth: bool,
     is_covered: impl Fn(usize) -> bool,
-) -> Vec<FrameUpdate> {
+) -> (FrontEnd, Vec<FrameUpdate>) {
     let mut front_end = FrontEnd::new(intrinsics);
     let mut push = |(i, pose): (usize, &Pose<f64>)| {
         let (width, height, timestamp) = (camera().width, camera().height, i as f64 / 30.0);
@@ -41,7 +41,8 @@ fn updates_of(
         let measured = with_depth.then_some(DepthPicture { depth: &measured, timestamp });
         front_end.push(&colour, timestamp, measured.as_ref()).expect("a picture of that size")
     };
-    path.iter().enumerate().map(&mut push).collect()
+    let updates = path.iter().enumerate().map(&mut push).collect();
+    (front_end, updates)
 }
 
 /// Largest error of the known places in the world of the first of them, over the path's length,
@@ -108,13 +109,25 @@ fn by_colour_alone_frames_have_poses_once_a_keyframe_hardly_changes_the_path() {
 fn a_guessed_camera_counts_by_colour_alone() {
     let (path, known) = (path(), camera());
     let guess = Intrinsics::Guess(Camera { fx: 1.1 * known.fx, fy: 1.1 * known.fy, ..known });
-    let found = updates_of(guess, &path, false, |_| false);
+    let (front_end, found) = tracked(guess, &path, false, |_| false);
+    assert_eq!(front_end.camera().fx, 1.1 * known.fx, "too few keyframes to correct it");
     let posed = found.iter().filter(|update| update.pose.is_some()).count();
     assert!(4 * posed > FRAMES, "{posed}");
     let error = online_error(&found, &path, false);
     assert!(error < 0.1, "{error}");
-    let found = updates_of(guess, &path, true, |_| false);
+    let (_, found) = tracked(guess, &path, true, |_| false);
     assert!(found.iter().all(|update| update.status == TrackingStatus::Initializing));
+}
+
+#[test]
+fn keyframes_correct_a_guessed_focal_length() {
+    let turn = 2 * FRAMES - 2;
+    let path: Vec<Pose<f64>> = (0..turn).map(|i| moving(i.min(turn - i))).collect();
+    let known = camera();
+    let guess = Intrinsics::Guess(Camera { fx: 1.1 * known.fx, fy: 1.1 * known.fy, ..known });
+    let (front_end, _) = tracked(guess, &path, false, |_| false);
+    let focal_error = (front_end.camera().fx / known.fx).ln().abs();
+    assert!(focal_error < 0.02, "{focal_error}");
 }
 
 #[test]

@@ -3,6 +3,7 @@
 use super::super::PictureError;
 use super::{MonocularError, MonocularSource, in_usual_unit};
 use i2slam_dataset::Frame;
+use i2slam_geometry::Camera;
 use i2slam_odometry::{
     DepthPicture, FrameUpdate, FrontEnd, Intrinsics, OdometryError, Progress as OdometryProgress,
     Stage,
@@ -58,6 +59,11 @@ impl TrackedPictures {
     /// None so far.
     pub(crate) fn new(intrinsics: Intrinsics) -> Self {
         Self { front_end: FrontEnd::new(intrinsics), given: GivenPictures::default() }
+    }
+
+    /// Camera with which the last poses were found.
+    pub(crate) fn camera(&self) -> Camera<f64> {
+        self.front_end.camera()
     }
 
     /// Tracks `count` pictures, until `progress` is cancelled: `load` reads the one at a position,
