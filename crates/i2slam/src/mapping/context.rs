@@ -7,7 +7,7 @@ use crate::reconstruction::{FrameEstimate, Map};
 use crate::tracking::sampling;
 use crate::warning::Warning;
 use i2slam_compute::{CancellationToken, Random};
-use i2slam_formation::{CameraResponse, ResponseCurve};
+use i2slam_formation::{CameraResponse, ResponseCurve, WhiteBalanceModel};
 use i2slam_geometry::{Camera, Image};
 use std::collections::BTreeMap;
 use std::time::Instant;
@@ -37,6 +37,8 @@ pub(crate) struct MappingContext<'a> {
     /// Whether the responses were found from pictures, and are no longer stepped: steps bend them as a
     /// whole, which pictures hardly tell from a change of radiance and exposures.
     pub(crate) has_found_response: bool,
+    /// White balance of frames: that of the configuration, until it proves constant.
+    pub(crate) white_balance: WhiteBalanceModel,
     /// Vignetting of every pixel, once it is found.
     pub(crate) vignetting: Option<&'a [f32]>,
     /// Mask of the pixels that the camera recorded; `None`: all.

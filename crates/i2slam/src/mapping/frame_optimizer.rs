@@ -95,8 +95,7 @@ impl FrameOptimizers {
         d_tone: &FrameToneGradient<f32>,
     ) {
         let mut d_tone = *d_tone;
-        let model = context.config.formation.white_balance;
-        model.project_gradient(&mut d_tone.log_white_balance);
+        context.white_balance.project_gradient(&mut d_tone.log_white_balance);
         let gradient = d_tone.to_array();
         let mut values = context.frames[frame].tone.to_array();
         let rates = &context.config.parameters.frames;

@@ -17,6 +17,7 @@ mod mapper;
 mod response;
 mod surface_pairs;
 mod vignetting;
+mod white_balance;
 mod window;
 
 pub(crate) use blur_pairs::compare_blurred_keyframes;
@@ -30,3 +31,4 @@ pub(crate) use mapper::{Growth, Mapper};
 pub(crate) use response::{find_response, finds_response};
 pub(crate) use surface_pairs::{compare_keyframes, is_comparison_due};
 pub(crate) use vignetting::LensVignetting;
+pub(crate) use white_balance::{equalize_white_balance, is_white_balance_constant};

@@ -81,7 +81,7 @@ pub(crate) fn find_response(
     let stretched: Vec<FrameTone<f32>> =
         context.frames.iter().map(|frame| change.tone(&frame.tone)).collect();
     let gains = points.gains(&curve, gauge, &stretched);
-    let tones = apply_gains(&stretched, &gains, context.config.formation.white_balance);
+    let tones = apply_gains(&stretched, &gains, context.white_balance);
     if tones.iter().any(|tone| tone.to_array().iter().any(|value| !value.is_finite())) {
         return false;
     }
@@ -148,7 +148,7 @@ fn blurred_pixels(
     blurred.par_iter().map(pair).collect()
 }
 
-fn log_linear(curve: &ResponseCurve<f32>, channel: usize, value: f64) -> f64 {
+pub(super) fn log_linear(curve: &ResponseCurve<f32>, channel: usize, value: f64) -> f64 {
     f64::from(curve.inverse(channel, value as f32).max(f32::MIN_POSITIVE)).ln()
 }
 
@@ -168,13 +168,13 @@ fn range_in_stops(gains: &[BTreeMap<usize, f64>; 3]) -> f64 {
 }
 
 /// Picture values of the points that pairs of frames see, by channel.
-struct PairedValues {
-    frames: Vec<[usize; 2]>,
-    points: [Vec<Vec<ValuePair>>; 3],
+pub(super) struct PairedValues {
+    pub(super) frames: Vec<[usize; 2]>,
+    pub(super) points: [Vec<Vec<ValuePair>>; 3],
 }
 
 impl PairedValues {
-    fn new(compared: &[ComparedViews], lens: Vignetting<f32>) -> Self {
+    pub(super) fn new(compared: &[ComparedViews], lens: Vignetting<f32>) -> Self {
         let of_channel = |channel| {
             let pairs = |views: &ComparedViews| {
                 let pair = |points: &SamplePair| value_pair(points, channel, lens);

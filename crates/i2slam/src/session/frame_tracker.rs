@@ -55,6 +55,7 @@ impl FrameTracker {
             before_previous: None,
             expected: Some(ExpectedView { world_from_camera: expected, render: &render }),
             keyframe: None,
+            white_balance: context.white_balance,
             vignetting: context.vignetting,
             cancellation: context.cancellation,
         };

@@ -19,8 +19,9 @@ pub use runtime_estimate::RuntimeEstimate;
 use crate::config::{Config, MapKind, MappingConfig};
 use crate::mapping::{
     FieldMapper, GaussianMapper, Growth, JointFieldMapper, Keyframe, LensVignetting, Mapper,
-    MappingContext, RefinementStep, compare_blurred_keyframes, compare_keyframes, find_response,
-    finds_response, is_comparison_due,
+    MappingContext, RefinementStep, compare_blurred_keyframes, compare_keyframes,
+    equalize_white_balance, find_response, finds_response, is_comparison_due,
+    is_white_balance_constant,
 };
 use crate::reconstruction::{FrameEstimate, Reconstruction};
 use crate::tracking::SequenceReadout;
@@ -230,11 +231,18 @@ impl Session {
             let blurred = compare_blurred_keyframes(mapper, &context);
             is_found = find_response(mapper, &mut context, (&compared, &blurred), lens);
         }
+        let is_constant = has_response
+            .then(|| is_white_balance_constant(&context, &compared, lens))
+            .flatten()
+            .map(|is_constant| is_constant && equalize_white_balance(mapper, &mut context));
         let found = has_vignetting.then(|| LensVignetting::find(&context, &compared)).flatten();
         if let Some(found) = found {
             self.state.vignetting = found;
         }
         self.state.has_found_response |= is_found;
+        if let Some(is_constant) = is_constant {
+            self.state.has_constant_white_balance = is_constant;
+        }
     }
 
     /// Final steps over all keyframes; where their poses are refined, in parts between which all are

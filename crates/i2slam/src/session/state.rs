@@ -5,7 +5,7 @@ use crate::mapping::{Keyframe, LensVignetting, MappingContext};
 use crate::reconstruction::{FrameEstimate, Map, Reconstruction};
 use crate::warning::Warning;
 use i2slam_compute::{CancellationToken, Random};
-use i2slam_formation::{CameraResponse, NodeSpacing, Vignetting};
+use i2slam_formation::{CameraResponse, NodeSpacing, Vignetting, WhiteBalanceModel};
 use i2slam_geometry::{Camera, Image};
 use i2slam_storage::ScratchStore;
 use std::fmt::Display;
@@ -22,6 +22,8 @@ pub(super) struct SessionState {
     pub(super) responses: Vec<CameraResponse<f32>>,
     /// Whether the response was found from pictures, and is no longer stepped.
     pub(super) has_found_response: bool,
+    /// Whether white balance proved constant, and is no longer stepped.
+    pub(super) has_constant_white_balance: bool,
     /// Vignetting, where it was found.
     pub(super) vignetting: Option<LensVignetting>,
     /// Mask of the pixels that the camera recorded; `None`: all.
@@ -40,6 +42,7 @@ impl SessionState {
             keyframes: Vec::new(),
             responses: vec![initial_response(config)],
             has_found_response: false,
+            has_constant_white_balance: false,
             vignetting: None,
             valid_mask: None,
             warnings: Vec::new(),
@@ -62,6 +65,10 @@ impl SessionState {
             keyframes: &self.keyframes,
             responses: &mut self.responses,
             has_found_response: self.has_found_response,
+            white_balance: match self.has_constant_white_balance {
+                true => WhiteBalanceModel::Fixed,
+                false => config.formation.white_balance,
+            },
             vignetting: self.vignetting.as_ref().map(LensVignetting::at_pixels),
             valid_mask: self.valid_mask.as_deref(),
             random: &mut self.random,

@@ -5,7 +5,9 @@ use crate::Config;
 use crate::objective::{Evaluation, Observation, blur_length};
 use crate::reconstruction::{Convergence, FrameEstimate, Losses};
 use i2slam_compute::CancellationToken;
-use i2slam_formation::{CameraResponse, CentreVelocity, FrameTone, ShutterPoses, TrajectoryScale};
+use i2slam_formation::{
+    CameraResponse, CentreVelocity, FrameTone, ShutterPoses, TrajectoryScale, WhiteBalanceModel,
+};
 use i2slam_geometry::{Camera, Image, Pose, Rotation, Tangent};
 use i2slam_radiance::Render;
 
@@ -34,6 +36,8 @@ pub(crate) struct TrackingContext<'a> {
     pub(crate) expected: Option<ExpectedView<'a>>,
     /// The last keyframe and its world-from-camera pose when its depth was taken.
     pub(crate) keyframe: Option<(&'a Observation, Pose<f64>)>,
+    /// White balance of frames: that of the configuration, until it proves constant.
+    pub(crate) white_balance: WhiteBalanceModel,
     /// Vignetting of every pixel; `None` for none.
     pub(crate) vignetting: Option<&'a [f32]>,
     /// Ends first-order steps early, with the best state so far.

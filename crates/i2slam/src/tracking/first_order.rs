@@ -212,7 +212,7 @@ fn step_tone(
         (&context.config.formation, context.config.parameters.frames.tracking_rate);
     let mut gradient = evaluation.tone;
     gradient.log_exposure += d_log_exposure;
-    formation.white_balance.project_gradient(&mut gradient.log_white_balance);
+    context.white_balance.project_gradient(&mut gradient.log_white_balance);
     let mut values = state.tone.to_array();
     optimizers.tone.step(&mut values, &gradient.to_array(), rate);
     state.tone = FrameTone::from_array(values);

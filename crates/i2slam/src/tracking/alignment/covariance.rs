@@ -249,6 +249,7 @@ mod tests {
             before_previous: None,
             expected: None,
             keyframe: None,
+            white_balance: config.formation.white_balance,
             vignetting: None,
             cancellation: &CancellationToken::default(),
         };

@@ -274,7 +274,7 @@ impl FrameAlignment<'_> {
         } else {
             freeze(equations, VELOCITY..EXPOSURE);
         }
-        let fixed = match (formation.tone, formation.white_balance) {
+        let fixed = match (formation.tone, self.context.white_balance) {
             (false, _) => EXPOSURE..READOUT,
             // The gain of green is the exposure's.
             (true, WhiteBalanceModel::PerChannel) => WHITE_BALANCE + 1..WHITE_BALANCE + 2,

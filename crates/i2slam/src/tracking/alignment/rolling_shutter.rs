@@ -283,6 +283,7 @@ mod tests {
             before_previous: estimates.len().checked_sub(2).map(|i| &estimates[i]),
             expected: None,
             keyframe: None,
+            white_balance: config.formation.white_balance,
             vignetting: None,
             cancellation: &CancellationToken::default(),
         };

@@ -171,6 +171,7 @@ mod tests {
             before_previous: None,
             expected: Some(ExpectedView { world_from_camera: Pose::identity(), render }),
             keyframe: None,
+            white_balance: config.formation.white_balance,
             vignetting: None,
             cancellation: &cancellation,
         };
