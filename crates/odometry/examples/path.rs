@@ -76,7 +76,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         }
         seconds.push(pushed.elapsed().as_secs_f64());
         let focal_length = front_end.camera().fx;
-        if update.is_keyframe && focal_length != focal_length_before {
+        if focal_length != focal_length_before {
             println!("frame {}: focal length {focal_length:.1} px", update.frame);
             focal_length_before = focal_length;
         }

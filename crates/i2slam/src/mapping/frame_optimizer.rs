@@ -6,7 +6,7 @@ use crate::objective::Evaluation;
 use crate::tracking::RESPONSE_NODE_SPACING;
 use i2slam_compute::{Adam, AdamSettings};
 use i2slam_formation::{
-    CurveGradient, FrameTone, FrameToneGradient, ResponsePrior, ShutterTangent,
+    CurveGradient, FrameTone, FrameToneGradient, ResponsePrior, ShutterTangent, WhiteBalanceModel,
 };
 use i2slam_geometry::{Tangent, Vec3};
 use std::collections::BTreeMap;
@@ -73,9 +73,13 @@ impl FrameOptimizers {
         }
     }
 
-    /// Drops the moments of responses that were replaced.
-    pub(super) fn forget_responses(&mut self) {
+    /// Drops the moments of responses and tones that were replaced.
+    pub(super) fn forget_tone(&mut self) {
         self.responses.clear();
+        for optimizer in self.frames.values_mut() {
+            optimizer.exposure.reset();
+            optimizer.white_balance.reset();
+        }
     }
 
     fn frame(&mut self, index: usize) -> &mut FrameOptimizer {
@@ -94,15 +98,18 @@ impl FrameOptimizers {
         frame: usize,
         d_tone: &FrameToneGradient<f32>,
     ) {
-        let mut d_tone = *d_tone;
-        context.white_balance.project_gradient(&mut d_tone.log_white_balance);
+        let (mut d_tone, model) = (*d_tone, context.white_balance);
+        model.project_gradient(&mut d_tone.log_white_balance);
         let gradient = d_tone.to_array();
         let mut values = context.frames[frame].tone.to_array();
         let rates = &context.config.parameters.frames;
         let optimizer = self.frame(context.frames[frame].index);
         let (exposure, balance) = values.split_at_mut(1);
         optimizer.exposure.step(exposure, &gradient[..1], rates.exposure_rate);
-        optimizer.white_balance.step(balance, &gradient[1..], rates.white_balance_rate);
+        // Momentum alone would move it on.
+        if model != WhiteBalanceModel::Fixed {
+            optimizer.white_balance.step(balance, &gradient[1..], rates.white_balance_rate);
+        }
         context.frames[frame].tone = FrameTone::from_array(values);
     }
 
@@ -156,7 +163,7 @@ impl FrameOptimizers {
         if rates.motion_rotation_rate <= 0.0 && rates.motion_translation_rate <= 0.0 {
             return;
         }
-        let optimizer = self.frame(frame);
+        let optimizer = self.frame(context.frames[frame].index);
         let gradient = d_shutter.to_array().map(|g| g as f32);
         let pick = |from: [usize; 6]| from.map(|i| gradient[i]);
         let (mut translation, mut rotation) = ([0.0; 6], [0.0; 6]);

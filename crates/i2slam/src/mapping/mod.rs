@@ -28,7 +28,6 @@ pub(crate) use gaussians::GaussianMapper;
 pub(crate) use joint::JointFieldMapper;
 pub(crate) use keyframe::{AdjacentFrames, Keyframe, is_keyframe};
 pub(crate) use mapper::{Growth, Mapper};
-pub(crate) use response::{find_response, finds_response};
+pub(crate) use response::{FoundTone, find_tone, finds_response};
 pub(crate) use surface_pairs::{compare_keyframes, is_comparison_due};
 pub(crate) use vignetting::LensVignetting;
-pub(crate) use white_balance::{equalize_white_balance, is_white_balance_constant};

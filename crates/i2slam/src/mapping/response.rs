@@ -10,17 +10,19 @@ use super::context::MappingContext;
 use super::frame_gains::{ChannelPairs, apply_gains, solve_gains};
 use super::mapper::Mapper;
 use super::surface_pairs::{ComparedViews, PLACE_DEVIATION, PictureSample, SamplePair};
+use super::white_balance::is_white_balance_constant;
 use crate::config::{Config, ResponseScope};
+use crate::reconstruction::FrameEstimate;
 use i2slam_formation::response_estimate::{
     BlurPair, BlurredPixel, MOMENTS, TIED, ValuePair, deviation_by_response, estimate,
     estimate_power,
 };
-use i2slam_formation::{CameraResponse, FrameTone, ResponseCurve, Vignetting};
+use i2slam_formation::{CameraResponse, FrameTone, ResponseCurve, Vignetting, WhiteBalanceModel};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
 /// Picture values that are compared: darker ones are steps of 8 bits, brighter ones clipped.
-const COMPARED: [f32; 2] = [0.08, 0.985];
+pub(super) const COMPARED: [f32; 2] = [0.08, 0.985];
 /// Standard deviation of a picture value in a plain area.
 const VALUE_DEVIATION: f64 = 0.003;
 /// Ratio of the residuals' deviation by the former response to that by the found one from which it
@@ -52,47 +54,83 @@ pub(crate) fn finds_response(config: &Config) -> bool {
         && config.parameters.frames.response_prior > 0.0
 }
 
-/// Finds the response of all frames, and takes map and exposures over to it. Returns whether it did:
-/// nothing changes where the pictures do not tell, or the map cannot follow. Its nodes are not to be
-/// stepped any more: steps go on to raise its power.
-pub(crate) fn find_response(
+/// What a comparison of keyframes has told of tone.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct FoundTone {
+    /// A response was found. Its nodes are not to be stepped any more: steps go on to raise its power.
+    pub(crate) has_response: bool,
+    /// Whether white balance is constant, where that was decided anew.
+    pub(crate) has_constant_white_balance: Option<bool>,
+}
+
+/// Finds the response of all frames and whether their white balance is constant, and takes map and tones
+/// over to both. Nothing changes where the pictures do not tell, or the map cannot follow.
+pub(crate) fn find_tone(
     mapper: &mut dyn Mapper,
     context: &mut MappingContext<'_>,
     (compared, blurred): (&[ComparedViews], &[BlurredView]),
     lens: Vignetting<f32>,
-) -> bool {
-    let response = &context.responses[0];
-    let former = response.curve();
+) -> FoundTone {
+    let former = context.responses[0].curve();
     let gauge = context.keyframes.first().map_or(0, |keyframe| keyframe.frame);
     let points = PairedValues::new(compared, lens);
-    let shape = points.better_response(response, gauge);
-    let power = power_by_blur(blurred, shape.as_ref().unwrap_or(response), lens);
-    if shape.is_none() && power.is_none() {
-        return false;
+    let next = next_response(context, (&points, blurred), lens, gauge);
+    let curve = next.as_ref().map_or_else(|| former.clone(), CameraResponse::curve);
+    let is_free = context.config.formation.white_balance == WhiteBalanceModel::PerChannel;
+    let is_constant = is_free.then(|| is_white_balance_constant(compared, &curve, gauge)).flatten();
+    let model = match is_constant {
+        Some(true) => WhiteBalanceModel::Fixed,
+        Some(false) => WhiteBalanceModel::PerChannel,
+        None => context.white_balance,
+    };
+    if next.is_none() && model == context.white_balance {
+        return FoundTone::default();
     }
-    // A power that was found before stays where blur tells none this time.
-    let kept =
-        |shape: &CameraResponse<f32>| log_range(&former, TIED) / log_range(&shape.curve(), TIED);
-    let has_power = context.has_found_response;
-    let power = power.or_else(|| shape.as_ref().filter(|_| has_power).map(kept));
-    let next = shape.as_ref().unwrap_or(response).raised(power.unwrap_or(1.0));
-    let curve = next.curve();
-    let change = ResponseChange::new(former.clone(), curve.clone());
-    let stretched: Vec<FrameTone<f32>> =
-        context.frames.iter().map(|frame| change.tone(&frame.tone)).collect();
+    let change = ResponseChange::new(former, curve.clone());
+    let stretched = |frame: &FrameEstimate| {
+        let tone = change.tone(&frame.tone);
+        // That of the gauge frame.
+        let log_white_balance = [0.0; 3];
+        if is_constant == Some(true) { FrameTone { log_white_balance, ..tone } } else { tone }
+    };
+    let stretched: Vec<FrameTone<f32>> = context.frames.iter().map(stretched).collect();
     let gains = points.gains(&curve, gauge, &stretched);
-    let tones = apply_gains(&stretched, &gains, context.white_balance);
+    let tones = apply_gains(&stretched, &gains, model);
     if tones.iter().any(|tone| tone.to_array().iter().any(|value| !value.is_finite())) {
-        return false;
+        return FoundTone::default();
     }
     let colour =
         |frame: usize, colour| change.colour(&context.frames[frame].tone, &tones[frame], colour);
     if !mapper.change_radiance(context, &colour, change.stretch) {
-        return false;
+        return FoundTone::default();
     }
-    context.responses[0] = next;
     context.frames.iter_mut().zip(tones).for_each(|(frame, tone)| frame.tone = tone);
-    true
+    let has_response = next.is_some();
+    next.into_iter().for_each(|next| context.responses[0] = next);
+    FoundTone { has_response, has_constant_white_balance: is_constant }
+}
+
+/// The response by points that frames of different exposure show, its power by blur; `None` where pictures
+/// tell neither.
+fn next_response(
+    context: &MappingContext<'_>,
+    (points, blurred): (&PairedValues, &[BlurredView]),
+    lens: Vignetting<f32>,
+    gauge_frame: usize,
+) -> Option<CameraResponse<f32>> {
+    let response = &context.responses[0];
+    let shape = points.better_response(response, gauge_frame);
+    let power = power_by_blur(blurred, shape.as_ref().unwrap_or(response), lens);
+    if shape.is_none() && power.is_none() {
+        return None;
+    }
+    // A power that was found before stays where blur tells none this time.
+    let former = response.curve();
+    let kept =
+        |shape: &CameraResponse<f32>| log_range(&former, TIED) / log_range(&shape.curve(), TIED);
+    let has_power = context.has_found_response;
+    let power = power.or_else(|| shape.as_ref().filter(|_| has_power).map(kept));
+    Some(shape.as_ref().unwrap_or(response).raised(power.unwrap_or(1.0)))
 }
 
 /// The power to which linear values are to be raised: between that of the start curve and that by blur, by
@@ -168,13 +206,13 @@ fn range_in_stops(gains: &[BTreeMap<usize, f64>; 3]) -> f64 {
 }
 
 /// Picture values of the points that pairs of frames see, by channel.
-pub(super) struct PairedValues {
-    pub(super) frames: Vec<[usize; 2]>,
-    pub(super) points: [Vec<Vec<ValuePair>>; 3],
+struct PairedValues {
+    frames: Vec<[usize; 2]>,
+    points: [Vec<Vec<ValuePair>>; 3],
 }
 
 impl PairedValues {
-    pub(super) fn new(compared: &[ComparedViews], lens: Vignetting<f32>) -> Self {
+    fn new(compared: &[ComparedViews], lens: Vignetting<f32>) -> Self {
         let of_channel = |channel| {
             let pairs = |views: &ComparedViews| {
                 let pair = |points: &SamplePair| value_pair(points, channel, lens);
@@ -287,7 +325,7 @@ impl ResponseChange {
 #[cfg(test)]
 mod tests {
     use super::super::blur_pairs::moved_pixels;
-    use super::super::surface_pairs::tests::{CAMERA, compared_views, curve, exposed_view};
+    use super::super::surface_pairs::tests::{CAMERA, Gains, compared_views, curve, exposed_view};
     use super::*;
     use i2slam_formation::{NodeSpacing, StartCurve};
     use i2slam_geometry::{Pose, Tangent};
@@ -314,7 +352,8 @@ mod tests {
     #[test]
     fn pictures_of_different_exposure_tell_the_response() {
         let lens = Vignetting { coefficients: [-0.3, 0.0, 0.0] };
-        let points = PairedValues::new(&compared_views(7, &lens, 1.2), lens);
+        let points =
+            PairedValues::new(&compared_views(7, &lens, Gains { stops: 1.2, red: 0.36 }), lens);
         let mut former = response(StartCurve::Shoulder);
         former.nodes = response(StartCurve::Srgb).nodes;
         let found = points.better_response(&former, 0).expect("better than sRGB").curve();
@@ -327,7 +366,8 @@ mod tests {
     #[test]
     fn pictures_of_one_exposure_change_nothing() {
         let lens = Vignetting::default();
-        let points = PairedValues::new(&compared_views(7, &lens, 0.0), lens);
+        let points =
+            PairedValues::new(&compared_views(7, &lens, Gains { stops: 0.0, red: 0.0 }), lens);
         assert!(points.better_response(&response(StartCurve::Srgb), 0).is_none());
     }
 

@@ -265,8 +265,14 @@ pub(super) mod tests {
     pub(in crate::mapping) const CAMERA: Camera<f64> =
         Camera { width: 160, height: 120, fx: 130.0, fy: 130.0, cx: 80.0, cy: 60.0 };
     const WALL: f64 = 2.0;
-    /// Changes of exposure from view to view, at most.
-    const STOPS: f32 = 0.3;
+    /// Largest change of gains from their mean over views: of exposure, in stops, and the logarithm of red.
+    #[derive(Clone, Copy)]
+    pub(in crate::mapping) struct Gains {
+        pub(in crate::mapping) stops: f32,
+        pub(in crate::mapping) red: f32,
+    }
+
+    pub(in crate::mapping) const GAINS: Gains = Gains { stops: 0.3, red: 0.09 };
 
     /// Radiance of the wall `z` = 2 m, of several colours and with some texture.
     fn wall(x: f64, y: f64, channel: usize) -> f64 {
@@ -283,13 +289,13 @@ pub(super) mod tests {
     const MOMENTS: usize = 24;
 
     /// A view of the wall from a camera that has moved and turned, with gains of its own, in 8 bits.
-    fn view(index: usize, lens: &Vignetting<f32>, stops: f32) -> View {
+    fn view(index: usize, lens: &Vignetting<f32>, gains: Gains) -> View {
         let at = index as f64;
         let motion =
             [0.15 * at - 0.4, 0.1 * (2.0 * at).sin(), -0.05 * at, 0.02 * at.cos(), 0.0, 0.1];
         let tone = FrameTone {
-            log_exposure: stops * 2.0_f32.ln() * (3.0 * at).sin() as f32,
-            log_white_balance: [0.3 * stops * at.cos() as f32, 0.0, -0.05],
+            log_exposure: gains.stops * 2.0_f32.ln() * (3.0 * at).sin() as f32,
+            log_white_balance: [gains.red * at.cos() as f32, 0.0, -0.05],
         };
         let pose = Pose::identity().retract(Tangent::from_array(motion));
         exposed_view(pose, Tangent::zero(), &tone, lens, index)
@@ -339,16 +345,16 @@ pub(super) mod tests {
     }
 
     fn views(count: usize, lens: &Vignetting<f32>) -> Vec<View> {
-        (0..count).map(|index| view(index, lens, STOPS)).collect()
+        (0..count).map(|index| view(index, lens, GAINS)).collect()
     }
 
-    /// Points of pairs of so many views through a lens, whose exposures change by `stops`.
+    /// Points of pairs of so many views through a lens, whose gains change.
     pub(in crate::mapping) fn compared_views(
         count: usize,
         lens: &Vignetting<f32>,
-        stops: f32,
+        gains: Gains,
     ) -> Vec<ComparedViews> {
-        let views: Vec<View> = (0..count).map(|index| view(index, lens, stops)).collect();
+        let views: Vec<View> = (0..count).map(|index| view(index, lens, gains)).collect();
         compare(&views, &CAMERA, None)
     }
 

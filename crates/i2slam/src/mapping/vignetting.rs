@@ -106,7 +106,7 @@ fn radiance_pair(squared_radii: [f64; 2], [here, there]: [LinearValue; 2]) -> Ra
 
 #[cfg(test)]
 mod tests {
-    use super::super::surface_pairs::tests::{compared_views, curve};
+    use super::super::surface_pairs::tests::{GAINS, compared_views, curve};
     use super::*;
 
     #[test]
@@ -115,7 +115,7 @@ mod tests {
         for coefficients in [[-0.25, -0.25, 0.0], [-0.5, 0.0, 0.0], [-0.05, -0.1, -0.15]] {
             let lens = Vignetting { coefficients };
             for count in [4, 7] {
-                let compared = compared_views(count, &lens, 0.3);
+                let compared = compared_views(count, &lens, GAINS);
                 let found = lens_of_views(&compared, |_| &curve).expect("a wall");
                 let error = found.corner() / f64::from(lens.corner()) - 1.0;
                 assert!(error.abs() < 0.02, "{coefficients:?}, {count} views: {found:?}");
@@ -126,7 +126,7 @@ mod tests {
     #[test]
     fn a_lens_without_vignetting_has_none() {
         let curve = curve();
-        let compared = compared_views(6, &Vignetting::default(), 0.3);
+        let compared = compared_views(6, &Vignetting::default(), GAINS);
         assert_eq!(lens_of_views(&compared, |_| &curve), Some(Vignetting::default()));
     }
 

@@ -1,159 +1,133 @@
 //! Whether white balance changes from frame to frame, from surface points that keyframes see.
 //!
-//! Of every compared keyframe the logarithms of red and blue over green are found twice, `a` and `b`, by
-//! the points in the upper and the lower half of its pictures, both relative to their means. What the two
-//! agree on is a change of white balance, half of what they differ by is the error of their mean:
+//! Two keyframes differ in ln (red/green) by
+//!
+//! ```text
+//! r = h_red(y₁) - h_red(y₂) - h_green(y₁) + h_green(y₂)
+//! ```
+//!
+//! at their common points, with `h` the logarithm of the linear value of a picture value `y`; exposure and
+//! vignetting cancel. Those of all keyframes are found by least squares, as [gains](super::frame_gains) are,
+//! twice: `a` from the first and `b` from the second half of the points of each pair, in the order of rows,
+//! both relative to their means; ln (blue/green) likewise. What `a` and `b` agree on is a change of white
+//! balance, half of what they differ by is the error of their mean:
 //!
 //! ```text
 //! change² = mean(a b)        error² = mean((a - b)²) / 4
 //! ```
-//!
-//! White balance counts as constant up to a change of twice the error: one for all frames then errs less
-//! than one for each, which gloss and coloured shadows bend in both halves alike.
 
-use super::context::MappingContext;
-use super::frame_gains::{ChannelPairs, solve_gains};
-use super::mapper::Mapper;
-use super::response::{PairedValues, log_linear};
-use super::surface_pairs::ComparedViews;
-use i2slam_formation::{FrameTone, ResponseCurve, Vignetting, WhiteBalanceModel};
+use super::frame_gains::{Difference, solve_differences};
+use super::response::{COMPARED, log_linear};
+use super::surface_pairs::{ComparedViews, SamplePair};
+use i2slam_formation::ResponseCurve;
 use std::collections::BTreeMap;
 
-/// Change of white balance over its error up to which it counts as constant.
-const MAX_CHANGE: f64 = 2.0;
-/// Keyframes from which a constant white balance can be told.
-const MIN_FRAMES: usize = 4;
-
-/// Logarithms of red and blue over green, by frame.
-type Balances = BTreeMap<usize, [f64; 2]>;
+/// Change of white balance over its error from which on it counts as one: gloss and coloured shadows bend
+/// both halves alike.
+const MIN_CHANGE: f64 = 2.0;
+/// Keyframes from which on a constant white balance can be told.
+const MIN_FRAMES: usize = 6;
+const RED: usize = 0;
+const GREEN: usize = 1;
+const BLUE: usize = 2;
 
 /// True if the compared keyframes have one white balance, as far as their pictures tell; `None` where they
 /// do not.
-pub(crate) fn is_white_balance_constant(
-    context: &MappingContext<'_>,
+pub(super) fn is_white_balance_constant(
     compared: &[ComparedViews],
-    lens: Vignetting<f32>,
-) -> Option<bool> {
-    if context.config.formation.white_balance != WhiteBalanceModel::PerChannel {
-        return None;
-    }
-    let points = PairedValues::new(compared, lens);
-    let gauge = context.keyframes.first()?.frame;
-    let curve = context.responses[0].curve();
-    let [first, second] =
-        [Half::Upper, Half::Lower].map(|half| balances(&points, &curve, gauge, half));
-    let [change, error] = change_and_error(&first, &second)?;
-    Some(change < MAX_CHANGE * error)
-}
-
-/// Gives all frames the white balance of the gauge frame, and the map the colours that it shows them with as
-/// before. Returns whether it did: nothing changes where the map cannot follow.
-pub(crate) fn equalize_white_balance(
-    mapper: &mut dyn Mapper,
-    context: &mut MappingContext<'_>,
-) -> bool {
-    let Some(gauge) = context.keyframes.first().map(|keyframe| keyframe.frame) else {
-        return false;
-    };
-    let common = context.frames[gauge].tone.log_white_balance;
-    let held = |tone: &FrameTone<f32>| FrameTone { log_white_balance: common, ..*tone };
-    let colour = |frame: usize, colour: [f32; 3]| {
-        let tone = &context.frames[frame].tone;
-        std::array::from_fn(|c| colour[c] + tone.log_white_balance[c] - common[c])
-    };
-    if !mapper.change_radiance(context, &colour, 1.0) {
-        return false;
-    }
-    context.frames.iter_mut().for_each(|frame| frame.tone = held(&frame.tone));
-    true
-}
-
-/// Half of a picture.
-#[derive(Clone, Copy)]
-enum Half {
-    Upper,
-    Lower,
-}
-
-/// White balance of every frame, by the points of one half of the pictures.
-fn balances(
-    points: &PairedValues,
     curve: &ResponseCurve<f32>,
     gauge_frame: usize,
-    half: Half,
-) -> Balances {
-    let gains: [BTreeMap<usize, f64>; 3] = std::array::from_fn(|channel| {
-        let pairs = points.frames.iter().zip(&points.points[channel]);
-        let pairs: Vec<ChannelPairs<'_>> = pairs
-            .map(|(&frames, points)| {
-                // In the order of rows of the first picture.
-                let (upper, lower) = points.split_at(points.len() / 2);
-                let points = match half {
-                    Half::Upper => upper,
-                    Half::Lower => lower,
-                };
-                ChannelPairs { frames, points }
-            })
-            .collect();
-        solve_gains(&pairs, |value| log_linear(curve, channel, value), gauge_frame, |_| 0.0)
-    });
-    let [red, green, blue] = &gains;
-    let of_frame = |(frame, green): (&usize, &f64)| {
-        Some((*frame, [red.get(frame)? - green, blue.get(frame)? - green]))
-    };
-    green.iter().filter_map(of_frame).collect()
+) -> Option<bool> {
+    let changes = [RED, BLUE].map(|channel| Changes::new(compared, curve, channel, gauge_frame));
+    let frames = changes.iter().map(|changes| changes.0.len()).min()?;
+    let mean = |of: fn(&Changes) -> f64| 0.5 * changes.iter().map(of).sum::<f64>();
+    let [change, error] = [mean(Changes::square), mean(Changes::squared_error)];
+    (frames >= MIN_FRAMES).then(|| change < MIN_CHANGE.powi(2) * error)
 }
 
-/// Standard deviations over frames of the change that two halves agree on, and of the error of their mean;
-/// `None` of too few frames.
-fn change_and_error(first: &Balances, second: &Balances) -> Option<[f64; 2]> {
-    let common = |(frame, a): (&usize, &[f64; 2])| Some([*a, *second.get(frame)?]);
-    let both: Vec<[[f64; 2]; 2]> = first.iter().filter_map(common).collect();
-    let count = both.len() as f64;
-    let mean = |half: usize, c: usize| both.iter().map(|v| v[half][c]).sum::<f64>() / count;
-    let (mut change, mut error) = (0.0, 0.0);
-    for c in 0..2 {
-        let means = [mean(0, c), mean(1, c)];
-        for halves in &both {
-            let [a, b] = [0, 1].map(|half| halves[half][c] - means[half]);
-            change += a * b;
-            error += 0.25 * (a - b).powi(2);
-        }
+/// Logarithms of a channel over green in frames, around their means, by either half of the points.
+struct Changes(Vec<[f64; 2]>);
+
+impl Changes {
+    fn new(
+        compared: &[ComparedViews],
+        curve: &ResponseCurve<f32>,
+        channel: usize,
+        gauge_frame: usize,
+    ) -> Self {
+        let of_half = |half: usize| -> BTreeMap<usize, f64> {
+            let difference = |views: &ComparedViews| {
+                let (first, second) = views.points.split_at(views.points.len() / 2);
+                let points = if half == 0 { first } else { second };
+                let of_points = points.iter().filter_map(|pair| contrast(pair, curve, channel));
+                Difference::median(views.frames, of_points.collect())
+            };
+            let differences: Vec<Difference> = compared.iter().filter_map(difference).collect();
+            solve_differences(&differences, gauge_frame, |_| 0.0)
+        };
+        let [first, second] = [0, 1].map(of_half);
+        let both = first.iter().filter_map(|(frame, a)| Some([*a, *second.get(frame)?]));
+        let both: Vec<[f64; 2]> = both.collect();
+        let mean = |half: usize| both.iter().map(|v| v[half]).sum::<f64>() / both.len() as f64;
+        let means = [mean(0), mean(1)];
+        Self(both.iter().map(|v| [v[0] - means[0], v[1] - means[1]]).collect())
     }
-    let deviation = |sum: f64| (sum.max(0.0) / (2.0 * (count - 1.0))).sqrt();
-    (both.len() >= MIN_FRAMES).then(|| [deviation(change), deviation(error)])
+
+    /// Square of the change that both halves agree on.
+    fn square(&self) -> f64 {
+        self.0.iter().map(|[a, b]| a * b).sum::<f64>() / self.0.len() as f64
+    }
+
+    /// Square of the error of the halves' mean.
+    fn squared_error(&self) -> f64 {
+        self.0.iter().map(|[a, b]| 0.25 * (a - b).powi(2)).sum::<f64>() / self.0.len() as f64
+    }
+}
+
+/// Difference of ln (channel/green) between the two pictures of a point; `None` where one is badly exposed.
+fn contrast(pair: &SamplePair, curve: &ResponseCurve<f32>, channel: usize) -> Option<f64> {
+    let channels = [channel, GREEN];
+    let is_exposed = |value: f32| (COMPARED[0]..=COMPARED[1]).contains(&value);
+    let are_exposed = pair.iter().all(|s| channels.iter().all(|&c| is_exposed(s.values[c])));
+    are_exposed.then(|| {
+        let log =
+            |picture: usize, c: usize| log_linear(curve, c, f64::from(pair[picture].values[c]));
+        log(0, channel) - log(1, channel) - log(0, GREEN) + log(1, GREEN)
+    })
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::surface_pairs::tests::{compared_views, curve};
+    use super::super::surface_pairs::tests::{Gains, compared_views, curve};
     use super::*;
+    use i2slam_formation::Vignetting;
 
-    /// Change and error of seven views whose logarithm of red is `amplitude` times the cosine of their number.
-    fn found(amplitude: f32) -> [f64; 2] {
-        let lens = Vignetting::default();
-        let points = PairedValues::new(&compared_views(7, &lens, amplitude / 0.3), lens);
-        let [first, second] =
-            [Half::Upper, Half::Lower].map(|half| balances(&points, &curve(), 0, half));
-        change_and_error(&first, &second).expect("seven frames")
+    fn views(count: usize, stops: f32, red: f32) -> Vec<ComparedViews> {
+        let lens = Vignetting { coefficients: [-0.3, 0.0, 0.0] };
+        compared_views(count, &lens, Gains { stops, red })
     }
 
     #[test]
-    fn a_change_of_white_balance_is_told_from_error() {
-        let [change, error] = found(0.0);
-        assert!(change < MAX_CHANGE * error && error < 0.005, "{change} {error}");
-        for amplitude in [0.03, 0.1] {
-            let [change, error] = found(amplitude);
-            // The deviation of seven cosines is 0.80; red has all of it, blue nothing.
-            let due = 0.80 * f64::from(amplitude) / 2.0_f64.sqrt();
-            assert!(change > MAX_CHANGE * error, "{amplitude}: {change} {error}");
-            assert!((change / due - 1.0).abs() < 0.2, "{amplitude}: {change} {due}");
+    fn a_change_of_white_balance_is_told_from_exposure() {
+        for stops in [0.0, 1.2] {
+            assert_eq!(is_white_balance_constant(&views(7, stops, 0.0), &curve(), 0), Some(true));
+            for red in [0.03, 0.1] {
+                let compared = views(7, stops, red);
+                assert_eq!(is_white_balance_constant(&compared, &curve(), 0), Some(false));
+                let found = Changes::new(&compared, &curve(), RED, 0).square().sqrt();
+                // The deviation of seven cosines.
+                let due = 0.74 * f64::from(red);
+                assert!((found / due - 1.0).abs() < 0.15, "{stops} {red}: {found} {due}");
+            }
         }
     }
 
     #[test]
     fn few_frames_tell_nothing() {
-        let few: Balances = (0..3).map(|frame| (frame, [0.0; 2])).collect();
-        assert_eq!(change_and_error(&few, &few), None);
+        assert_eq!(is_white_balance_constant(&views(5, 0.3, 0.1), &curve(), 0), None);
+        let mut apart = views(7, 0.3, 0.1);
+        apart.iter_mut().for_each(|views| views.points.truncate(60));
+        assert_eq!(is_white_balance_constant(&apart, &curve(), 0), None);
+        assert_eq!(is_white_balance_constant(&[], &curve(), 0), None);
     }
 }

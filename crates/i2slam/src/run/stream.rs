@@ -158,7 +158,7 @@ impl TrackedFrames {
         pose
     }
 
-    /// Focal length with which the last pose was found [px], where it may be a guess.
+    /// Focal length with which the last pose was found [px], where the map does not count on it.
     fn focal_length(&self) -> Option<f64> {
         match self {
             Self::Unmapped(pictures) => Some(pictures.camera().fx),

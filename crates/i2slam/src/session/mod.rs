@@ -18,10 +18,9 @@ pub use runtime_estimate::RuntimeEstimate;
 
 use crate::config::{Config, MapKind, MappingConfig};
 use crate::mapping::{
-    FieldMapper, GaussianMapper, Growth, JointFieldMapper, Keyframe, LensVignetting, Mapper,
-    MappingContext, RefinementStep, compare_blurred_keyframes, compare_keyframes,
-    equalize_white_balance, find_response, finds_response, is_comparison_due,
-    is_white_balance_constant,
+    FieldMapper, FoundTone, GaussianMapper, Growth, JointFieldMapper, Keyframe, LensVignetting,
+    Mapper, MappingContext, RefinementStep, compare_blurred_keyframes, compare_keyframes,
+    find_tone, finds_response, is_comparison_due,
 };
 use crate::reconstruction::{FrameEstimate, Reconstruction};
 use crate::tracking::SequenceReadout;
@@ -216,7 +215,7 @@ impl Session {
         }
     }
 
-    /// Finds response and vignetting anew, from all keyframes.
+    /// Finds response, vignetting and whether white balance is constant anew, from all keyframes.
     fn calibrate_light(&mut self) {
         let has_vignetting = self.config.formation.vignetting && self.config.formation.tone;
         let has_response = finds_response(&self.config) && self.mapper.gaussians() > 0;
@@ -226,21 +225,17 @@ impl Session {
         let lens = self.state.lens_vignetting();
         let (mapper, _, mut context) = self.mapping();
         let compared = compare_keyframes(mapper, &context);
-        let mut is_found = false;
+        let mut tone = FoundTone::default();
         if has_response {
             let blurred = compare_blurred_keyframes(mapper, &context);
-            is_found = find_response(mapper, &mut context, (&compared, &blurred), lens);
+            tone = find_tone(mapper, &mut context, (&compared, &blurred), lens);
         }
-        let is_constant = has_response
-            .then(|| is_white_balance_constant(&context, &compared, lens))
-            .flatten()
-            .map(|is_constant| is_constant && equalize_white_balance(mapper, &mut context));
         let found = has_vignetting.then(|| LensVignetting::find(&context, &compared)).flatten();
         if let Some(found) = found {
             self.state.vignetting = found;
         }
-        self.state.has_found_response |= is_found;
-        if let Some(is_constant) = is_constant {
+        self.state.has_found_response |= tone.has_response;
+        if let Some(is_constant) = tone.has_constant_white_balance {
             self.state.has_constant_white_balance = is_constant;
         }
     }

@@ -58,6 +58,7 @@ impl SessionState {
         config: &'a Config,
         camera: &'a Camera<f64>,
     ) -> MappingContext<'a> {
+        let white_balance = self.white_balance(config);
         MappingContext {
             config,
             camera,
@@ -65,15 +66,20 @@ impl SessionState {
             keyframes: &self.keyframes,
             responses: &mut self.responses,
             has_found_response: self.has_found_response,
-            white_balance: match self.has_constant_white_balance {
-                true => WhiteBalanceModel::Fixed,
-                false => config.formation.white_balance,
-            },
+            white_balance,
             vignetting: self.vignetting.as_ref().map(LensVignetting::at_pixels),
             valid_mask: self.valid_mask.as_deref(),
             random: &mut self.random,
             warnings: &mut self.warnings,
             cancellation: &self.cancellation,
+        }
+    }
+
+    /// White balance of frames: that of the configuration, until it proves constant.
+    pub(super) fn white_balance(&self, config: &Config) -> WhiteBalanceModel {
+        match self.has_constant_white_balance {
+            true => WhiteBalanceModel::Fixed,
+            false => config.formation.white_balance,
         }
     }
 

@@ -165,7 +165,7 @@ impl Session {
             before_previous: frames.len().checked_sub(2).map(|i| &frames[i]),
             expected: None,
             keyframe: last_keyframe.as_ref().map(|(observation, pose)| (&**observation, *pose)),
-            white_balance: config.formation.white_balance,
+            white_balance: state.white_balance(config),
             vignetting: vignetting.as_ref().map(LensVignetting::at_pixels),
             cancellation,
         };

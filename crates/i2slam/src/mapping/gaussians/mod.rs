@@ -396,7 +396,7 @@ impl Mapper for GaussianMapper {
         self.anchors.change_colours(&places, &mut self.current.map, change);
         let by_direction = self.current.map.view_colours.coefficients_mut();
         by_direction.iter_mut().flatten().for_each(|value| *value *= stretch);
-        self.optimizer.forget_responses();
+        self.optimizer.forget_tone();
         true
     }
 

@@ -56,9 +56,9 @@ impl GaussianOptimizer {
         *self = Self { gradient, ..Self::new() };
     }
 
-    /// Drops the moments of responses that were replaced.
-    pub(crate) fn forget_responses(&mut self) {
-        self.frames.forget_responses();
+    /// Drops the moments of responses and tones that were replaced.
+    pub(crate) fn forget_tone(&mut self) {
+        self.frames.forget_tone();
     }
 
     /// Drops the moments of pruned Gaussians.
