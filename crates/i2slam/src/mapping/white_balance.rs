@@ -24,7 +24,7 @@ use std::collections::BTreeMap;
 
 /// Change of white balance over its error from which on it counts as one: gloss and coloured shadows bend
 /// both halves alike.
-const MIN_CHANGE: f64 = 2.0;
+const MIN_CHANGE: f64 = 1.5;
 /// Keyframes from which on a constant white balance can be told.
 const MIN_FRAMES: usize = 6;
 const RED: usize = 0;
