@@ -132,7 +132,8 @@ section! {
         blur_model: BlurModel,
         /// Free gains: `per-channel` (red and blue; green is 1), `one-gain` for all channels, or
         /// `fixed`, where brightness is the exposure alone. Paper: one gain on ScanNet and synthetic
-        /// scenes.
+        /// scenes. `default` and `default-rgb` on Gaussians: red and blue are one for all frames where
+        /// pictures show no change of them.
         white_balance: WhiteBalanceModel,
         /// One camera response for the `sequence`, or one for each `frame` (the paper's CRF^i).
         response_scope: ResponseScope,
