@@ -1,10 +1,11 @@
-//! Frames with poses that come late or again, on a map of Gaussians.
+//! Frames with poses that come late or again, and their white balance, on a map of Gaussians.
 
 use super::posed_tests::{keyframe, pose};
 use super::*;
 use crate::keyframes::{EstimatedDepth, PosedKeyframe};
 use crate::reconstruction::Map;
 use crate::session::tracked_tests::{CAMERA, frame};
+use i2slam_formation::FrameTone;
 use i2slam_geometry::{Pose, Rotation, Vec3};
 use i2slam_radiance::gaussian::GaussianMap;
 
@@ -110,4 +111,33 @@ fn a_contradicted_surface_is_replaced() {
     let (left, right) = (ratios(true), ratios(false));
     assert!((left[0] - 1.0).abs() < 0.03 && left[1] > 1.4, "{left:?}");
     assert!(right.iter().all(|ratio| (ratio - 1.0).abs() < 0.03), "{right:?}");
+}
+
+/// Tones of eight frames, whose red is multiplied in pictures.
+fn tones(red: impl Fn(usize) -> f32) -> Vec<FrameTone<f32>> {
+    let mut config = quick_gaussians();
+    config.mapping.final_iterations = 30;
+    let mut session = Session::refining(config, CAMERA, 30.0);
+    for index in 0..8 {
+        let mut frame = measured_keyframe(index);
+        let picture = Arc::make_mut(&mut frame.colour);
+        picture.plane_mut(0).iter_mut().for_each(|value| *value *= red(index));
+        session.add_keyframe(frame).expect("a keyframe");
+    }
+    session.finish(&mut |_, _| true);
+    session.frames().iter().map(|frame| frame.tone).collect()
+}
+
+#[test]
+fn white_balance_is_the_same_in_all_frames_where_pictures_show_no_change() {
+    let constant = tones(|_| 1.0);
+    assert!(constant.iter().all(|tone| tone.log_white_balance == [0.0; 3]), "{constant:?}");
+    let red = |index: usize| 0.9 + 0.1 * (index as f32).cos();
+    let changing = tones(red);
+    let [found, least] = [
+        changing[3].log_white_balance[0] - changing[6].log_white_balance[0],
+        // A linear value changes more than the value of its picture.
+        (red(3) / red(6)).ln(),
+    ];
+    assert!(found < least, "{found} {least}");
 }
