@@ -6,7 +6,7 @@ use crate::objective::Evaluation;
 use crate::tracking::RESPONSE_NODE_SPACING;
 use i2slam_compute::{Adam, AdamSettings};
 use i2slam_formation::{
-    CurveGradient, FrameTone, FrameToneGradient, ResponsePrior, ShutterTangent, WhiteBalanceModel,
+    CurveGradient, FrameTone, FrameToneGradient, ResponsePrior, ShutterTangent,
 };
 use i2slam_geometry::{Tangent, Vec3};
 use std::collections::BTreeMap;
@@ -98,16 +98,15 @@ impl FrameOptimizers {
         frame: usize,
         d_tone: &FrameToneGradient<f32>,
     ) {
-        let (mut d_tone, model) = (*d_tone, context.white_balance);
-        model.project_gradient(&mut d_tone.log_white_balance);
+        let mut d_tone = *d_tone;
+        context.white_balance.project_gradient(&mut d_tone.log_white_balance);
         let gradient = d_tone.to_array();
         let mut values = context.frames[frame].tone.to_array();
         let rates = &context.config.parameters.frames;
         let optimizer = self.frame(context.frames[frame].index);
         let (exposure, balance) = values.split_at_mut(1);
         optimizer.exposure.step(exposure, &gradient[..1], rates.exposure_rate);
-        // Momentum alone would move it on.
-        if model != WhiteBalanceModel::Fixed {
+        if !context.has_found_white_balance {
             optimizer.white_balance.step(balance, &gradient[1..], rates.white_balance_rate);
         }
         context.frames[frame].tone = FrameTone::from_array(values);

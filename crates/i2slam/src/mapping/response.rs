@@ -83,7 +83,8 @@ pub(crate) fn find_tone(
         Some(false) => WhiteBalanceModel::PerChannel,
         None => context.white_balance,
     };
-    if next.is_none() && model == context.white_balance {
+    let is_decided_anew = is_constant.is_some() && !context.has_found_white_balance;
+    if next.is_none() && !is_decided_anew && model == context.white_balance {
         return FoundTone::default();
     }
     let change = ResponseChange::new(former, curve.clone());

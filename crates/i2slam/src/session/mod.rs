@@ -235,9 +235,8 @@ impl Session {
             self.state.vignetting = found;
         }
         self.state.has_found_response |= tone.has_response;
-        if let Some(is_constant) = tone.has_constant_white_balance {
-            self.state.has_constant_white_balance = is_constant;
-        }
+        let was_constant = self.state.has_constant_white_balance;
+        self.state.has_constant_white_balance = tone.has_constant_white_balance.or(was_constant);
     }
 
     /// Final steps over all keyframes; where their poses are refined, in parts between which all are

@@ -22,8 +22,8 @@ pub(super) struct SessionState {
     pub(super) responses: Vec<CameraResponse<f32>>,
     /// Whether the response was found from pictures, and is no longer stepped.
     pub(super) has_found_response: bool,
-    /// Whether white balance proved constant, and is no longer stepped.
-    pub(super) has_constant_white_balance: bool,
+    /// Whether white balance is constant, once pictures have told; it is no longer stepped then.
+    pub(super) has_constant_white_balance: Option<bool>,
     /// Vignetting, where it was found.
     pub(super) vignetting: Option<LensVignetting>,
     /// Mask of the pixels that the camera recorded; `None`: all.
@@ -42,7 +42,7 @@ impl SessionState {
             keyframes: Vec::new(),
             responses: vec![initial_response(config)],
             has_found_response: false,
-            has_constant_white_balance: false,
+            has_constant_white_balance: None,
             vignetting: None,
             valid_mask: None,
             warnings: Vec::new(),
@@ -66,6 +66,7 @@ impl SessionState {
             keyframes: &self.keyframes,
             responses: &mut self.responses,
             has_found_response: self.has_found_response,
+            has_found_white_balance: self.has_constant_white_balance.is_some(),
             white_balance,
             vignetting: self.vignetting.as_ref().map(LensVignetting::at_pixels),
             valid_mask: self.valid_mask.as_deref(),
@@ -78,8 +79,8 @@ impl SessionState {
     /// White balance of frames: that of the configuration, until it proves constant.
     pub(super) fn white_balance(&self, config: &Config) -> WhiteBalanceModel {
         match self.has_constant_white_balance {
-            true => WhiteBalanceModel::Fixed,
-            false => config.formation.white_balance,
+            Some(true) => WhiteBalanceModel::Fixed,
+            Some(false) | None => config.formation.white_balance,
         }
     }
 
