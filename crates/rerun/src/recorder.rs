@@ -10,7 +10,8 @@ use re_chunk::{TimePoint, Timeline};
 use re_log_types::TimeCell;
 use re_sdk_types::AsComponents;
 use re_sdk_types::archetypes::{
-    EncodedImage, LineStrips3D, Pinhole, Points3D, Scalars, TextLog, Transform3D, ViewCoordinates,
+    EncodedImage, LineStrips3D, Pinhole, Points3D, Scalars, SeriesLines, TextLog, Transform3D,
+    ViewCoordinates,
 };
 use re_sdk_types::components::{Color, LineStrip3D};
 use re_sdk_types::datatypes::Quaternion;
@@ -44,6 +45,10 @@ pub(crate) fn write(run: RecordedRun<'_>, out: &mut dyn Write) -> io::Result<()>
         let scalars = |frame: &FrameEstimate| Scalars::new(values(frame));
         log.add(*entity, each(&|frame| row(time(frame, first), &[&scalars(frame)])))?;
     }
+    let channels = SeriesLines::new()
+        .with_names(["red", "green", "blue"])
+        .with_colors([0xE0_50_50_FF, 0x50_C0_50_FF, 0x50_80_E0_FF].map(Color::from_u32));
+    log.add(WHITE_BALANCE, [row(TimePoint::STATIC, &[&channels])])?;
     let keyframes = frames.iter().filter(|frame| frame.keyframe);
     let mark = |frame: &FrameEstimate| TextLog::new(format!("keyframe {}", frame.index));
     let marks: Vec<Row> = keyframes.map(|frame| row(time(frame, first), &[&mark(frame)])).collect();
@@ -61,11 +66,13 @@ pub(crate) fn write(run: RecordedRun<'_>, out: &mut dyn Write) -> io::Result<()>
 /// A curve over time: its entity, and its values at a frame.
 type Curve = (&'static str, fn(&FrameEstimate) -> Vec<f64>);
 
+/// Entity of the gains of red, green and blue.
+const WHITE_BALANCE: &str = "white_balance";
+
 const SCALARS: &[Curve] = &[
     ("exposure_stops", |frame| vec![f64::from(frame.tone.log_exposure) / std::f64::consts::LN_2]),
     ("blur_length_px", |frame| vec![frame.blur_length]),
-    // Gains of red, green and blue.
-    ("white_balance", |frame| frame.tone.log_white_balance.map(|g| f64::from(g).exp()).to_vec()),
+    (WHITE_BALANCE, |frame| frame.tone.log_white_balance.map(|g| f64::from(g).exp()).to_vec()),
 ];
 
 /// A number that other paths do not have.
