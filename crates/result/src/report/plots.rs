@@ -165,7 +165,13 @@ fn align_exposure(estimate: &[(f64, f64)], truth: &[(usize, f64)]) -> Points {
 }
 
 fn white_balance(frames: &[FrameEstimate]) -> Plot {
-    let explanation = "Gain of each colour; green is 1 where red and blue are free.";
+    let tracked = || frames.iter().filter(|frame| frame.tracked);
+    let balance = |frame: &FrameEstimate| frame.tone.log_white_balance;
+    let is_constant = tracked().zip(tracked().skip(1)).all(|(a, b)| balance(a) == balance(b));
+    let explanation = match is_constant {
+        true => "Gain of each colour; it is the same in all frames.",
+        false => "Gain of each colour; green is 1 where red and blue are free.",
+    };
     let mut plot = over_frames("White balance", explanation, "gain");
     plot.from_zero = false;
     plot.series = [("red", 0), ("green", 1), ("blue", 2)]
