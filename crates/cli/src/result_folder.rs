@@ -6,6 +6,11 @@ use std::path::Path;
 /// Refuses a folder that is no result of a run.
 pub(crate) fn refuse_non_results(result: &Path) -> Result<(), Failure> {
     let shown = result.display();
+    if result.is_file() {
+        return Err(Failure::Failed(format!(
+            "{shown}: a file, where the result's folder is expected"
+        )));
+    }
     if !result.is_dir() {
         return Err(Failure::Failed(format!("{shown}: no such folder")));
     }

@@ -1,7 +1,7 @@
 //! `i2slam render`: renders a saved result from its own poses or from others.
 
 use crate::arguments::frame_range;
-use crate::console::{counted, print};
+use crate::console::{counted, print, print_status};
 use crate::failure::Failure;
 use crate::interrupt;
 use crate::messages::{note_displaced, note_saved_parts};
@@ -23,7 +23,7 @@ pub(crate) struct Render {
     /// Only frames A to B-1 of the associated stream
     #[arg(long, value_name = "A..B", value_parser = frame_range, conflicts_with_all = ["pose", "poses"])]
     pub(crate) frames: Option<Range<usize>>,
-    /// A pose of your own, world from camera, exposed as the camera would have done it
+    /// A pose of your own, world from camera as in trajectory.txt, exposed as the camera would have done it
     #[arg(
         long,
         value_name = "\"tx ty tz qx qy qz qw\"",
@@ -41,7 +41,7 @@ pub(crate) struct Render {
     /// of your own, numbered after those that are there]
     #[arg(short, long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
-    /// Replace what was drawn into that folder before; other files in it stay
+    /// Replace what was drawn into the folder given by --out before; other files in it stay
     #[arg(long, requires = "out")]
     pub(crate) overwrite: bool,
 }
@@ -62,13 +62,16 @@ pub(crate) fn render(arguments: &Render) -> Result<(), Failure> {
         expose(&mut frames, &reconstruction, &progress)?;
     }
     let mut viewer = reconstruction.viewer();
-    let mut done = 0;
+    let (mut done, mut empty) = (0, 0);
     for frame in &frames {
+        let mut is_empty = true;
         for &kind in &kinds {
             let image = picture(&mut viewer, kind, frame);
+            is_empty &= image.data.iter().all(|value| *value == 0.0);
             save_render(&pictures.folder, pictures.parent, kind, frame.index, &image)?;
         }
         done += 1;
+        empty += usize::from(is_empty);
         progress.step("rendering", done, frames.len());
         if interrupt::requested() {
             break;
@@ -80,6 +83,12 @@ pub(crate) fn render(arguments: &Render) -> Result<(), Failure> {
     pictures.write_poses(&frames[..done])?;
     let path = pictures.place(done < frames.len())?;
     print(&format!("{done_frames}, {names}, in {}", path.display()));
+    if own_poses && empty > 0 {
+        print_status(&format!(
+            "warning: the map shows nothing from {empty} of {done} poses: they are world from camera, in \
+             world and unit of the result's trajectory.txt"
+        ));
+    }
     if done < frames.len() { Err(Failure::Interrupted) } else { Ok(()) }
 }
 

@@ -33,6 +33,8 @@ fn a_saved_result_and_poses_of_ones_own_are_drawn() {
     ] {
         i2slam!("render", out; flags).exits_with(2).stderr_contains(word);
     }
+    let far = ["--pose", "100 0 0 0 0 0 1", "--kinds", "sharp"];
+    i2slam!("render", out; far).exits_with(0).stderr_contains("nothing from 1 of 1 poses");
     let nowhere = room.scratch.join("nowhere");
     i2slam!("render", nowhere).exits_with(1).stderr_contains("no such folder");
     i2slam!("render", room.data).exits_with(1).stderr_contains("no result of a run");

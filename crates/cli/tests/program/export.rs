@@ -149,6 +149,13 @@ fn nothing_but_an_earlier_export_is_replaced() {
     i2slam!("export", room.out, "--format", "colmap", "--out", folder; ["--overwrite"])
         .exits_with(2);
     assert!(folder.join("images/a.png").is_file() && !folder.join("sparse").exists());
+
+    let nerfstudio = export(&room, "nerfstudio", "other", &[]);
+    i2slam!("export", room.out, "--format", "colmap", "--out", nerfstudio; ["--overwrite"])
+        .exits_with(2);
+    assert!(nerfstudio.join("transforms.json").is_file() && !nerfstudio.join("sparse").exists());
+    let again = ["--overwrite", "--keyframes"];
+    i2slam!("export", room.out, "--format", "nerfstudio", "--out", nerfstudio; again).exits_with(0);
 }
 
 #[test]
@@ -162,7 +169,22 @@ fn what_cannot_be_exported_is_told() {
     refused(&["--format", "las"], "possible values");
     refused(&["--format", "glb"], ".glb");
     refused(&["--format", "tum", "--min-opacity", "0.5"], "the path alone");
-    refused(&["--format", "mesh", "--linear"], "--linear is not for mesh");
+    refused(&["--format", "mesh", "--linear"], "ply and glb, not for mesh");
+    refused(&["--format", "compressed-ply", "--linear"], "not for compressed-ply");
+    refused(&["--format", "ply", "--keyframes"], "ply holds the map alone");
+    i2slam!("export", room.out, "--format", "tum", "--out", "-")
+        .exits_with(2)
+        .stderr_contains("name a file");
+    i2slam!(
+        "export",
+        room.out.join("config.toml"),
+        "--format",
+        "tum",
+        "--out",
+        room.scratch.join("a")
+    )
+    .exits_with(1)
+    .stderr_contains("a file, where");
     let constant = ["--format", "ply", "--constant-exposure"];
     refused(&constant, "--constant-exposure is for --format video");
     refused(&["--format", "ply", "--voxel", "0.1"], "--voxel is for --format mesh");

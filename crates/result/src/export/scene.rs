@@ -114,6 +114,11 @@ impl Scene {
         UnitOfLength::of(&self.reconstruction.config)
     }
 
+    /// Angle by which the world was turned to level it [rad].
+    pub fn levelling(&self) -> f64 {
+        self.level_from_world.log().norm()
+    }
+
     /// Rotation from the world of the result to that of a file.
     pub(crate) fn rotation(&self, axes: Axes) -> Rotation<f64> {
         axes.rotation() * self.level_from_world

@@ -38,7 +38,7 @@ pub(crate) struct Export {
     /// median depth]
     #[arg(long, value_name = "SIZE", allow_negative_numbers = true)]
     pub(crate) voxel: Option<f64>,
-    /// Colours as linear radiance, not as a picture
+    /// Colours as linear radiance, not as a picture: colmap, nerfstudio, ply, glb
     #[arg(long)]
     pub(crate) linear: bool,
     /// One exposure for all pictures of a video, not those that the camera would have chosen
@@ -99,6 +99,14 @@ impl Format {
         }
     }
 
+    /// Command of its folder's manifest, which is replaced by the same one alone.
+    pub(super) fn command(self) -> &'static str {
+        match self {
+            Self::Nerfstudio => "i2slam export --format nerfstudio",
+            _ => "i2slam export --format colmap",
+        }
+    }
+
     /// Name on the command line.
     pub(super) fn name(self) -> String {
         self.to_possible_value().map(|value| value.get_name().to_owned()).unwrap_or_default()
@@ -134,10 +142,25 @@ impl Export {
         }
         let is_linear_possible = !matches!(
             format,
-            Format::Mesh | Format::Video | Format::Html | Format::Tum | Format::Csv
+            Format::CompressedPly
+                | Format::Mesh
+                | Format::Video
+                | Format::Html
+                | Format::Tum
+                | Format::Csv
         );
         if self.linear && !is_linear_possible {
-            return Err(Failure::Usage(format!("--linear is not for {}", format.name())));
+            let name = format.name();
+            return Err(Failure::Usage(format!(
+                "--linear is for colmap, nerfstudio, ply and glb, not for {name}"
+            )));
+        }
+        let is_map_alone = matches!(format, Format::Ply | Format::CompressedPly | Format::Glb);
+        if self.keyframes && is_map_alone && self.min_views.is_none() {
+            let name = format.name();
+            return Err(Failure::Usage(format!(
+                "--keyframes chooses among frames; {name} holds the map alone"
+            )));
         }
         if self.constant_exposure && format != Format::Video {
             return Err(Failure::Usage("--constant-exposure is for --format video".to_owned()));

@@ -6,7 +6,7 @@ mod place;
 
 pub(crate) use arguments::Export;
 
-use crate::console::{counted, print};
+use crate::console::{counted, print, print_status};
 use crate::failure::Failure;
 use crate::interrupt;
 use crate::messages::{note_displaced, note_saved_parts};
@@ -21,6 +21,9 @@ use i2slam_result::export::{
 };
 use i2slam_storage::{OutputFolder, write_file};
 use std::path::Path;
+
+/// Angle by which a world is turned to level it from which on that is told [rad].
+const MIN_LEVELLING: f64 = 1e-3;
 
 impl From<ExportError> for Failure {
     fn from(error: ExportError) -> Self {
@@ -49,6 +52,13 @@ pub(crate) fn export(arguments: &Export) -> Result<(), Failure> {
     progress.clear();
     let what = with_unit(&written?, arguments.format, &scene);
     print(&format!("{what}, in {}", arguments.out.display()));
+    if scene.levelling() > MIN_LEVELLING {
+        let degrees = scene.levelling().to_degrees();
+        print_status(&format!(
+            "the world is turned by {degrees:.1} degrees against that of the result, to level it; --up keep \
+             leaves it"
+        ));
+    }
     Ok(())
 }
 

@@ -16,13 +16,16 @@ pub(super) fn check(arguments: &Export) -> Result<(), Failure> {
     if let Some(names) = format.names() {
         return Ok(OutputFolder::check(out, claim(arguments, names))?);
     }
+    if out == Path::new("-") {
+        return Err(Failure::Usage("--out -: name a file, standard output is not one".to_owned()));
+    }
     check_extension(format, out)?;
     check_file(format, out, arguments.overwrite)
 }
 
 /// The claim on a folder for these names.
 pub(super) fn claim(arguments: &Export, names: &'static [&'static str]) -> Claim<'static> {
-    Claim { command: MARK, names, overwrite: arguments.overwrite }
+    Claim { command: arguments.format.command(), names, overwrite: arguments.overwrite }
 }
 
 fn check_extension(format: Format, out: &Path) -> Result<(), Failure> {
