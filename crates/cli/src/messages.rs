@@ -106,15 +106,22 @@ pub(crate) fn camera_lines(camera: &CameraEstimate) -> Vec<String> {
 
 /// The expected duration of a long run, and, where flags can change it, what makes it shorter.
 pub(crate) fn forecast_line(forecast: &RuntimeForecast, is_adjustable: bool) -> Option<String> {
-    let RuntimeForecast { seconds, frames, keyframes, size: (width, height) } = *forecast;
+    let RuntimeForecast { seconds, frames, keyframes, size: (width, height), is_second } =
+        *forecast;
+    if seconds <= MIN_FORECAST {
+        return None;
+    }
+    let duration = rounded_duration(seconds);
+    if is_second {
+        return Some(format!(
+            "this will take about {duration} in all: {keyframes} frames are keyframes"
+        ));
+    }
     let advice = if is_adjustable { advice(width.max(height)) } else { String::new() };
-    (seconds > MIN_FORECAST).then(|| {
-        format!(
-            "this will take about {}: {frames} frames of {width}x{height} px, some {keyframes} \
-             keyframes{advice}",
-            rounded_duration(seconds)
-        )
-    })
+    Some(format!(
+        "this will take about {duration}: {frames} frames of {width}x{height} px, some {keyframes} \
+         keyframes{advice}"
+    ))
 }
 
 /// Flags that make a run on pictures of this longer side [px] shorter.
@@ -228,8 +235,9 @@ mod tests {
         assert_eq!(rounded_duration(63.0), "60 s");
         assert_eq!(rounded_duration(754.0), "13 min");
         assert_eq!(rounded_duration(3.0 * 3600.0), "3.0 h");
+        let (frames, keyframes, size) = (300, 62, (480, 640));
         let forecast =
-            RuntimeForecast { seconds: 600.0, frames: 300, keyframes: 62, size: (480, 640) };
+            RuntimeForecast { seconds: 600.0, frames, keyframes, size, is_second: false };
         let line = forecast_line(&forecast, true).expect("a long run");
         for part in
             ["10 min", "300 frames of 480x640 px", "62 keyframes", "--max-side 320", "--stride"]
@@ -237,6 +245,9 @@ mod tests {
             assert!(line.contains(part), "{line}");
         }
         assert!(!forecast_line(&forecast, false).expect("a long run").contains("--"));
+        let second = RuntimeForecast { is_second: true, ..forecast };
+        let line = forecast_line(&second, true).expect("a long run");
+        assert_eq!(line, "this will take about 10 min in all: 62 frames are keyframes");
         assert_eq!(forecast_line(&RuntimeForecast { seconds: 50.0, ..forecast }, true), None);
         assert!(!advice(320).contains("--max-side"));
     }

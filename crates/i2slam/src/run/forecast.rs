@@ -1,4 +1,4 @@
-//! Duration of a run, extrapolated from its first frames.
+//! Duration of a run, extrapolated from its first frames, and anew when all are tracked.
 
 use crate::config::Config;
 use crate::session::RuntimeEstimate;
@@ -16,6 +16,9 @@ const ADJUSTMENT: [f64; 2] = [0.65, 3.5];
 /// Share of the time so far that tracking took at least, where frames are mapped beside it.
 const MIN_TRACKING: f64 = 0.3;
 
+/// Relative change of a forecast that is worth telling: a later part of a sequence may have more keyframes.
+const MIN_CHANGE: f64 = 0.15;
+
 /// Expected duration of a run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RuntimeForecast {
@@ -27,34 +30,41 @@ pub struct RuntimeForecast {
     pub keyframes: usize,
     /// Width and height of the mapped pictures [px].
     pub size: (usize, usize),
+    /// True if all frames are tracked, and an earlier forecast is replaced.
+    pub is_second: bool,
 }
 
-/// Makes the forecast of one run, once.
+/// Makes the forecasts of one run.
 pub(super) struct Forecaster {
     config: Config,
     sequence: Sequence,
     started: Instant,
-    is_done: bool,
-    /// Measured before frames came, where they are mapped while they come.
+    /// Whether frames are mapped while they come.
+    is_online: bool,
+    /// Measured before frames came where they are mapped while they come, else with the first forecast.
     pace: Option<RuntimeEstimate>,
+    /// The last forecast [s].
+    last: Option<f64>,
 }
 
 impl Forecaster {
     /// For a run that begins now, and maps frames after the last one.
     pub(super) fn new(config: &Config, sequence: &Sequence) -> Self {
         let (config, sequence) = (config.clone(), sequence.clone());
-        Self { config, sequence, started: Instant::now(), is_done: false, pace: None }
+        let (started, is_online, pace, last) = (Instant::now(), false, None, None);
+        Self { config, sequence, started, is_online, pace, last }
     }
 
     /// For a run that begins now, and maps frames while they come.
     pub(super) fn of_online(config: &Config, sequence: &Sequence) -> Self {
         let mut forecaster = Self::new(config, sequence);
         forecaster.pace = forecaster.measure();
-        Self { started: Instant::now(), ..forecaster }
+        Self { started: Instant::now(), is_online: true, ..forecaster }
     }
 
-    /// The forecast, as soon as enough of the pictures were tracked: `done`, of which `keyframes` became
-    /// keyframes, and `mapped` were mapped meanwhile. Does a little of everything to time it.
+    /// The forecast, as soon as enough of the pictures were tracked and, if it has changed, when all were:
+    /// `done`, of which `keyframes` became keyframes, and `mapped` were mapped meanwhile. Does a little of
+    /// everything to time it.
     pub(super) fn after(
         &mut self,
         done: usize,
@@ -62,23 +72,24 @@ impl Forecaster {
         mapped: usize,
     ) -> Option<RuntimeForecast> {
         let frames = self.sequence.len();
-        if self.is_done || done < SAMPLE_FRAMES.min(frames) {
+        let is_second = self.last.is_some();
+        let due = if is_second { frames } else { SAMPLE_FRAMES.min(frames) };
+        if done < due {
             return None;
         }
-        self.is_done = true;
         let elapsed = self.started.elapsed().as_secs_f64();
         let keyframes = (keyframes * frames).div_ceil(done);
-        let (pace, is_online) = match self.pace {
-            Some(pace) => (pace, true),
-            None => (self.measure()?, false),
-        };
-        let mapping =
-            pace.mapping(&self.config, keyframes, if is_online { frames } else { keyframes });
+        let pace = self.pace.or_else(|| self.measure())?;
+        self.pace = Some(pace);
+        let mapped_frames = if self.is_online { frames } else { keyframes };
+        let mapping = pace.mapping(&self.config, keyframes, mapped_frames);
         let mapped = mapping * mapped as f64 / frames as f64;
-        let path = path_seconds((elapsed, mapped), (done, frames), is_online);
+        let path = path_seconds((elapsed, mapped), (done, frames), self.is_online);
         let seconds = path + mapping + pace.finish(&self.config, keyframes, frames);
+        let is_news = self.last.is_none_or(|last| (seconds / last).ln().abs() > MIN_CHANGE);
+        self.last = Some(seconds);
         let size = (self.sequence.camera.width, self.sequence.camera.height);
-        Some(RuntimeForecast { seconds, frames, keyframes, size })
+        is_news.then_some(RuntimeForecast { seconds, frames, keyframes, size, is_second })
     }
 
     fn measure(&self) -> Option<RuntimeEstimate> {

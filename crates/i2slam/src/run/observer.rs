@@ -88,7 +88,7 @@ pub trait Observer: Send + Sync {
     fn camera(&self, _camera: &CameraEstimate) {}
 
     /// The duration of the run was extrapolated from its first frames, where the front end finds the
-    /// path; at most once.
+    /// path, or anew when all frames are tracked, if it differs.
     fn forecast(&self, _forecast: &RuntimeForecast) {}
 
     /// Token that ends the run early, asked for at its start; never cancelled by default.
