@@ -17,7 +17,7 @@ pub enum OdometryError {
     },
     /// Hardly any point could be tracked from picture to picture.
     #[error(
-        "too few points could be tracked from picture to picture: the scene has too little texture, or the pictures are too dark, too blurred or too different"
+        "too few points could be tracked from picture to picture: the scene has too little texture, or the pictures are too dark, too blurred or too far apart: photographs that are not frames of a video need poses of another program"
     )]
     TooFewPoints,
     /// Nothing moves in the pictures.
