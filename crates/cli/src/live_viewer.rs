@@ -262,7 +262,7 @@ fn page(shown: &Mutex<Shown>) -> String {
 }
 
 /// Beginning of a page that asks again in a second.
-const WAITING: &str = "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\">\
+const WAITING: &str = "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><link rel=\"icon\" href=\"data:,\">\
     <meta http-equiv=\"refresh\" content=\"1\"><title>i2slam</title>";
 
 /// JSON of what is new after a version.
