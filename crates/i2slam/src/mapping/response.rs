@@ -59,7 +59,7 @@ pub(crate) fn finds_response(config: &Config) -> bool {
 pub(crate) struct FoundTone {
     /// A response was found. Its nodes are not to be stepped any more: steps go on to raise its power.
     pub(crate) has_response: bool,
-    /// Whether white balance is constant, where that was decided anew.
+    /// True if white balance is constant, false if it changes; `None` where nothing was decided.
     pub(crate) has_constant_white_balance: Option<bool>,
 }
 

@@ -1,4 +1,4 @@
-//! Whether white balance changes from frame to frame, from surface points that keyframes see.
+//! Change of white balance from frame to frame, by surface points that keyframes see.
 //!
 //! Two keyframes differ in ln (red/green) by
 //!

@@ -39,7 +39,7 @@ pub(super) struct Forecaster {
     config: Config,
     sequence: Sequence,
     started: Instant,
-    /// Whether frames are mapped while they come.
+    /// True if frames are mapped while they come.
     is_online: bool,
     /// Measured before frames came where they are mapped while they come, else with the first forecast.
     pace: Option<RuntimeEstimate>,

@@ -22,7 +22,8 @@ pub(super) struct SessionState {
     pub(super) responses: Vec<CameraResponse<f32>>,
     /// Whether the response was found from pictures, and is no longer stepped.
     pub(super) has_found_response: bool,
-    /// Whether white balance is constant, once pictures have told; it is no longer stepped then.
+    /// True if white balance is constant, false if it changes; `None` until pictures have told. It is no
+    /// longer stepped then.
     pub(super) has_constant_white_balance: Option<bool>,
     /// Vignetting, where it was found.
     pub(super) vignetting: Option<LensVignetting>,
