@@ -54,7 +54,7 @@ pub(crate) fn finds_response(config: &Config) -> bool {
         && config.parameters.frames.response_prior > 0.0
 }
 
-/// What a comparison of keyframes has told of tone.
+/// Response and white balance, as far as a comparison of keyframes has found them.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct FoundTone {
     /// A response was found. Its nodes are not to be stepped any more: steps go on to raise its power.

@@ -76,6 +76,20 @@ pub(crate) enum Format {
     Csv,
 }
 
+/// A format of folders.
+#[derive(Clone, Copy)]
+pub(super) struct FolderFormat {
+    /// Command in the manifest: an export replaces those of its own format only.
+    pub(super) command: &'static str,
+    /// First parts of the paths in it.
+    pub(super) names: &'static [&'static str],
+}
+
+pub(super) const COLMAP: FolderFormat =
+    FolderFormat { command: "i2slam export --format colmap", names: colmap::NAMES };
+pub(super) const NERFSTUDIO: FolderFormat =
+    FolderFormat { command: "i2slam export --format nerfstudio", names: nerfstudio::NAMES };
+
 impl Format {
     /// Endings of its file; none for a folder or any.
     pub(super) fn extensions(self) -> &'static [&'static str] {
@@ -90,20 +104,12 @@ impl Format {
         }
     }
 
-    /// First parts of the paths in its folder; none for a file.
-    pub(super) fn names(self) -> Option<&'static [&'static str]> {
+    /// Its folder; none for a file.
+    pub(super) fn folder(self) -> Option<FolderFormat> {
         match self {
-            Self::Colmap => Some(colmap::NAMES),
-            Self::Nerfstudio => Some(nerfstudio::NAMES),
+            Self::Colmap => Some(COLMAP),
+            Self::Nerfstudio => Some(NERFSTUDIO),
             _ => None,
-        }
-    }
-
-    /// Command of its folder's manifest, which is replaced by the same one alone.
-    pub(super) fn command(self) -> &'static str {
-        match self {
-            Self::Nerfstudio => "i2slam export --format nerfstudio",
-            _ => "i2slam export --format colmap",
         }
     }
 

@@ -12,7 +12,7 @@ use crate::interrupt;
 use crate::messages::{note_displaced, note_saved_parts};
 use crate::progress::Progress;
 use crate::result_folder::refuse_non_results;
-use arguments::Format;
+use arguments::{COLMAP, FolderFormat, Format, NERFSTUDIO};
 use i2slam_result::UnitOfLength;
 use i2slam_result::export::video::Video;
 use i2slam_result::export::{
@@ -66,10 +66,10 @@ pub(crate) fn export(arguments: &Export) -> Result<(), Failure> {
 fn write(arguments: &Export, scene: &Scene, watch: &Watch<'_>) -> Result<String, Failure> {
     let out = &arguments.out;
     match arguments.format {
-        Format::Colmap => write_folder(arguments, scene, colmap::NAMES, |folder| {
-            colmap::write(scene, folder, watch)
-        }),
-        Format::Nerfstudio => write_folder(arguments, scene, nerfstudio::NAMES, |folder| {
+        Format::Colmap => {
+            write_folder(arguments, scene, COLMAP, |folder| colmap::write(scene, folder, watch))
+        }
+        Format::Nerfstudio => write_folder(arguments, scene, NERFSTUDIO, |folder| {
             nerfstudio::write(scene, folder, watch)
         }),
         Format::Ply => {
@@ -120,10 +120,10 @@ fn described(video: &Video) -> String {
 fn write_folder(
     arguments: &Export,
     scene: &Scene,
-    names: &'static [&'static str],
+    format: FolderFormat,
     content: impl FnOnce(&OutputFolder) -> Result<usize, ExportError>,
 ) -> Result<String, Failure> {
-    let mut folder = OutputFolder::replace(&arguments.out, place::claim(arguments, names))?;
+    let mut folder = OutputFolder::replace(&arguments.out, place::claim(arguments, format))?;
     let points = content(&folder)?;
     note_displaced(&folder.commit_or_save()?);
     Ok(format!("{} and {}", counted(scene.frames(), "picture"), counted(points, "point")))

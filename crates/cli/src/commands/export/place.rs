@@ -1,6 +1,6 @@
 //! The place of an export: new, or an earlier export in the same format.
 
-use super::arguments::{Export, Format};
+use super::arguments::{Export, FolderFormat, Format};
 use crate::failure::Failure;
 use i2slam_result::export::{CSV_COLUMNS, MARK};
 use i2slam_storage::{Claim, OutputFolder};
@@ -13,8 +13,8 @@ const HEAD: u64 = 1 << 20;
 /// Checks that the export may be written, before any work.
 pub(super) fn check(arguments: &Export) -> Result<(), Failure> {
     let (format, out) = (arguments.format, arguments.out.as_path());
-    if let Some(names) = format.names() {
-        return Ok(OutputFolder::check(out, claim(arguments, names))?);
+    if let Some(folder) = format.folder() {
+        return Ok(OutputFolder::check(out, claim(arguments, folder))?);
     }
     if out == Path::new("-") {
         return Err(Failure::Usage("--out -: name a file, standard output is not one".to_owned()));
@@ -23,9 +23,10 @@ pub(super) fn check(arguments: &Export) -> Result<(), Failure> {
     check_file(format, out, arguments.overwrite)
 }
 
-/// The claim on a folder for these names.
-pub(super) fn claim(arguments: &Export, names: &'static [&'static str]) -> Claim<'static> {
-    Claim { command: arguments.format.command(), names, overwrite: arguments.overwrite }
+/// The claim on a folder of a format.
+pub(super) fn claim(arguments: &Export, format: FolderFormat) -> Claim<'static> {
+    let FolderFormat { command, names } = format;
+    Claim { command, names, overwrite: arguments.overwrite }
 }
 
 fn check_extension(format: Format, out: &Path) -> Result<(), Failure> {
