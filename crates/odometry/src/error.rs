@@ -15,9 +15,9 @@ pub enum OdometryError {
         /// Pictures needed.
         needed: usize,
     },
-    /// Hardly any point could be tracked from picture to picture.
+    /// Hardly any point could be tracked or matched.
     #[error(
-        "too few points could be tracked from picture to picture: the scene has too little texture, or the pictures are too dark, too blurred or too far apart: photographs that are not frames of a video need poses of another program"
+        "too few points of one picture were found in another: the scene has too little texture, or the pictures are too dark, too blurred, or taken from places that are too far apart (photographs need 20 degrees or less to the next one)"
     )]
     TooFewPoints,
     /// Nothing moves in the pictures.

@@ -7,6 +7,7 @@ use crate::depth::scale::scale_to_readings;
 use crate::diagnosis::findings::diagnose;
 use crate::diagnosis::pictures::PictureChecks;
 use crate::error::{OdometryError, PictureError};
+use crate::features::collection::PhotoCollection;
 use crate::intrinsics::focal_length::{Intrinsics, search_focal_length};
 use crate::intrinsics::observability::drop_unobservable_distortion;
 use crate::loops::loop_closure::{close_loops, merge_overlapping_keyframes};
@@ -49,6 +50,7 @@ pub struct FrontEnd {
     intrinsics: Intrinsics,
     tracker: Tracker,
     picture_checks: PictureChecks,
+    photographs: PhotoCollection,
     map: OnlineMap,
     /// Pictures and depth of all frames.
     scratch: Arc<ScratchStore>,
@@ -81,7 +83,8 @@ impl FrontEnd {
         let (tracker, picture_checks) = (Tracker::default(), PictureChecks::default());
         let state = SfmState::new(*intrinsics.camera(), Tracks::default());
         let map = OnlineMap::new(state, !matches!(intrinsics, Intrinsics::Known(_)));
-        Self { intrinsics, tracker, picture_checks, map, scratch: ScratchStore::in_memory() }
+        let (photographs, scratch) = (PhotoCollection::default(), ScratchStore::in_memory());
+        Self { intrinsics, tracker, picture_checks, photographs, map, scratch }
     }
 
     /// Disables loop closure, before the first picture.
@@ -143,9 +146,13 @@ impl FrontEnd {
         }
         self.picture_checks.add(picture);
         let depth = depth.filter(|depth| self.is_in_time(depth.timestamp - timestamp));
+        let before = self.tracker.last_picture().cloned();
         // Points are followed without the map, and the map grows by pictures that were tracked already.
         let (tracked, is_loop_closed) =
             rayon::join(|| self.tracker.track(picture), || self.map.extend());
+        if let Some(now) = self.tracker.last_picture() {
+            self.photographs.add(before.as_deref(), now, tracked.observed.len());
+        }
         self.map.state.add_input(picture, timestamp, depth, &self.scratch);
         let (frame, is_cut) = (self.map.state.poses.len(), tracked.is_cut);
         let is_repeat = &self.picture_checks.is_repeat;
@@ -198,29 +205,26 @@ impl FrontEnd {
             return Err(OdometryError::StillCamera { motion: 0.0 });
         }
         let adjust_focal = !matches!(self.intrinsics, Intrinsics::Known(_));
-        let Self { intrinsics, picture_checks, map, scratch, .. } = self;
+        let Self { intrinsics, picture_checks, photographs, map, scratch, .. } = self;
         let (online_poses, closes_loops) = (map.poses, map.closes_loops);
-        let mut state =
-            initial_state(SfmState { progress: progress.clone(), ..map.state }, &intrinsics);
+        let online = SfmState { progress: progress.clone(), ..map.state };
+        let mut state = match photographs.is_unordered() && !online.has_depth() {
+            true => photographs_state(online, &photographs, &intrinsics),
+            false => initial_state(online, &intrinsics),
+        };
         let found = estimate_path(&mut state, adjust_focal);
         // A cancelled search may look like any other failure.
         if progress.is_cancelled() {
             return Err(OdometryError::Cancelled);
         }
         found?;
-        register_depth_pictures(&mut state, adjust_focal);
-        let had_initial_readout = state.readout != 0.0;
-        estimate_rolling_shutter(&mut state, adjust_focal);
-        if state.readout != 0.0 || had_initial_readout {
-            adjust_all_frames(&mut state, adjust_focal);
-        }
-        // The first readout used velocities of a path fitted to uncorrected rows: estimate it again.
-        if state.readout != 0.0 {
-            estimate_rolling_shutter(&mut state, adjust_focal);
-            adjust_all_frames(&mut state, adjust_focal);
-        }
-        if closes_loops {
-            close_loops(&mut state, adjust_focal);
+        // What follows rests on motion between neighbours in time.
+        if state.photographs.is_none() {
+            register_depth_pictures(&mut state, adjust_focal);
+            correct_rolling_shutter(&mut state, adjust_focal);
+            if closes_loops {
+                close_loops(&mut state, adjust_focal);
+            }
         }
         adjust_until_converged(&mut state, adjust_focal);
         let distortion_dropped = drop_unobservable_distortion(&mut state);
@@ -239,6 +243,20 @@ impl FrontEnd {
         }
         let built = build_reconstruction(state, &timestamps, &intrinsics, found, &is_repeat);
         Ok(Reconstruction { online_poses, ..wrong.applied_to(built) })
+    }
+}
+
+/// Finds the readout of the rows, and adjusts all frames to it.
+fn correct_rolling_shutter(state: &mut SfmState, adjust_focal: bool) {
+    let had_initial_readout = state.readout != 0.0;
+    estimate_rolling_shutter(state, adjust_focal);
+    if state.readout != 0.0 || had_initial_readout {
+        adjust_all_frames(state, adjust_focal);
+    }
+    // The first readout used velocities of a path fitted to uncorrected rows: estimate it again.
+    if state.readout != 0.0 {
+        estimate_rolling_shutter(state, adjust_focal);
+        adjust_all_frames(state, adjust_focal);
     }
 }
 
@@ -280,6 +298,26 @@ fn initial_state(online: SfmState, intrinsics: &Intrinsics) -> SfmState {
         }
     }
     state
+}
+
+/// The state that adjustment of photographs begins with: tracks and verified matches of features, and
+/// every photograph as a keyframe.
+fn photographs_state(
+    online: SfmState,
+    photographs: &PhotoCollection,
+    intrinsics: &Intrinsics,
+) -> SfmState {
+    let progress = online.progress.clone();
+    let tracks = online.tracks.without_corrections().with_keyframes(photographs.images());
+    let mut state = SfmState {
+        timestamps: online.timestamps,
+        estimates_distortion: matches!(intrinsics, Intrinsics::GuessWithDistortion(_)),
+        ..SfmState::new(*intrinsics.camera(), tracks)
+    };
+    let first_track = state.landmarks.len();
+    let (matched, tracks) = photographs.match_all(&state.camera, first_track, &progress);
+    tracks.into_iter().for_each(|track| state.add_track(track));
+    SfmState { photographs: Some(Arc::new(matched)), progress, ..state }
 }
 
 /// Corrects the rows of all observations for the readout that explains the rotations best.

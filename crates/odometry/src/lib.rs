@@ -15,6 +15,7 @@
 //! |---|---|
 //! | `track` | KLT tracking of corners from picture to picture, choice of keyframes |
 //! | `depth` | depth pictures, their registration, and the model of the sensor that took them |
+//! | `features` | SIFT features, and verified matches of photographs that points cannot be tracked through |
 //! | `multiview` | geometry of few views: landmarks, lens distortion, triangulation, PnP, essential matrix |
 //! | `bundle` | bundle adjustment and the covariance of the intrinsics |
 //! | `sfm_state` | camera, poses, landmarks and tracks so far |
@@ -68,6 +69,8 @@ mod multiview {
     pub(crate) mod two_view;
 }
 
+mod features;
+
 mod bundle;
 mod sfm_state;
 
@@ -81,6 +84,7 @@ mod segmentation {
 mod register {
     pub(crate) mod dense_constraints;
     pub(crate) mod initialization;
+    pub(crate) mod photographs;
     pub(crate) mod registration;
     pub(crate) mod resection_intersection;
 }
@@ -132,8 +136,8 @@ mod result;
 mod dense;
 
 pub use dense::{
-    DenseDepth, DenseDepthEstimator, KeyframePictures, MAX_KEYFRAME_DISTANCE, MeasuredDepth,
-    PosedView,
+    DenseDepth, DenseDepthEstimator, KeyframePictures, MAX_KEYFRAME_DISTANCE,
+    MAX_PHOTOGRAPH_DISTANCE, MeasuredDepth, PosedView,
 };
 pub use depth::depth_map::DepthPicture;
 pub use depth::registration::register_depth;

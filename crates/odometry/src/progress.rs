@@ -12,6 +12,8 @@ pub enum Stage {
         /// Keyframes among those so far.
         keyframes: usize,
     },
+    /// Matching photographs with each other; counts pairs.
+    Matching,
     /// Searching for the focal length.
     FocalLength,
     /// Registering keyframes; counts registered ones, of all.

@@ -72,6 +72,9 @@ pub struct Reconstruction {
     pub depth_model: Option<DepthModel>,
     /// Registered keyframes, in order.
     pub keyframes: Vec<Keyframe>,
+    /// Whether the pictures are photographs, which were matched instead of tracked: those next to each
+    /// other in time need not be near.
+    pub is_unordered: bool,
     /// Degradations that a user should know of.
     pub warnings: Vec<Warning>,
 }
@@ -186,7 +189,10 @@ pub(crate) fn build_reconstruction(
     let lost = poses.len() - posed.len();
     if lost > 0 {
         warnings.push(Warning::FramesLost { lost, frames: poses.len() });
-        warnings.extend(lost_frame_warnings(&state));
+        // Photographs are not tracked from one to the next.
+        if state.photographs.is_none() {
+            warnings.extend(lost_frame_warnings(&state));
+        }
     }
     let focal_deviation = focal_deviation(&state, intrinsics, &mut warnings);
     if focal_deviation.is_some() && readout != 0.0 {
@@ -199,13 +205,18 @@ pub(crate) fn build_reconstruction(
         }
     };
     warnings.extend(distortion_dropped.then_some(Warning::DistortionUndetermined));
-    let (deviations, links) = pose_deviations(&state, is_repeat);
+    // Those of photographs are not known: neighbours in time, against which they count, are far away.
+    let (deviations, links) = match state.photographs.is_some() {
+        true => (vec![None; state.poses.len()], Vec::new()),
+        false => pose_deviations(&state, is_repeat),
+    };
     warnings.extend(links.iter().map(|link| Warning::ScaleUncertain {
         frames: link.frames,
         percent: (100.0 * link.deviation).min(100.0),
     }));
     let found = Reconstruction {
         camera: state.camera,
+        is_unordered: state.photographs.is_some(),
         distortion,
         focal_deviation,
         rolling_shutter_readout: readout,
@@ -233,6 +244,7 @@ pub(crate) fn reconstruction_so_far(state: &SfmState, keyframe: Option<usize>) -
     });
     Reconstruction {
         camera: state.camera,
+        is_unordered: state.photographs.is_some(),
         distortion: None,
         focal_deviation: None,
         rolling_shutter_readout: readout,

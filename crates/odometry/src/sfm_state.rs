@@ -10,6 +10,7 @@ use crate::bundle::{FreeIntrinsics, RelativePoseFactor};
 use crate::depth::depth_map::{DepthMap, DepthPicture};
 use crate::depth::sensor_model::DepthModel;
 use crate::depth::stored_picture::StoredPicture;
+use crate::features::collection::MatchedPhotographs;
 use crate::multiview::landmark::{Landmark, Match};
 use crate::multiview::lens_distortion::undistort;
 use crate::multiview::triangulation::{PosedObservation, triangulate};
@@ -58,6 +59,8 @@ pub(crate) struct SfmState {
     pub(crate) depth_maps: Arc<Vec<Option<DepthMap>>>,
     /// Model of the depth sensor.
     pub(crate) depth_model: DepthModel,
+    /// Matches of photographs in any order, whose neighbours in time need not be near; none of a film.
+    pub(crate) photographs: Option<Arc<MatchedPhotographs>>,
     /// Whether the map began by parallax, so that its lengths have no unit: depth is not read until
     /// readings agree on one.
     pub(crate) is_unscaled: bool,
@@ -90,6 +93,7 @@ impl SfmState {
             timestamps: Arc::default(),
             depth_maps: Arc::default(),
             depth_model: DepthModel::default(),
+            photographs: None,
             is_unscaled: false,
             pictures: Arc::default(),
             relative_poses: Arc::default(),
@@ -122,17 +126,22 @@ impl SfmState {
         if !is_repeat[frame] {
             self.add_observations(tracked.observed);
         }
-        let by_frame = Arc::make_mut(&mut self.by_frame);
         for mut track in tracked.started {
             track.observations.retain(|o| !is_repeat[o.frame]);
-            track.observations.iter().for_each(|o| by_frame[o.frame].push(self.landmarks.len()));
-            self.tracks.tracks.push(track);
-            self.landmarks.push(None);
+            self.add_track(track);
         }
         self.tracks.frames = frame + 1;
         if let Some(image) = tracked.keyframe {
             self.tracks.add_keyframe(&image, repeated_frame(is_repeat, frame));
         }
+    }
+
+    /// Adds a track of known frames.
+    pub(crate) fn add_track(&mut self, track: Track) {
+        let by_frame = Arc::make_mut(&mut self.by_frame);
+        track.observations.iter().for_each(|o| by_frame[o.frame].push(self.landmarks.len()));
+        self.tracks.tracks.push(track);
+        self.landmarks.push(None);
     }
 
     /// An empty state of the keyframes alone, with the same camera.
@@ -142,6 +151,7 @@ impl SfmState {
             timestamps: Arc::clone(&self.timestamps),
             depth_maps: Arc::clone(&self.depth_maps),
             depth_model: self.depth_model.clone(),
+            photographs: self.photographs.clone(),
             is_unscaled: self.is_unscaled,
             progress: self.progress.without_listener(),
             ..Self::new(self.camera, self.tracks.keyframes_only())

@@ -67,6 +67,12 @@ pub struct EstimatedDepth {
 
 /// Delivers keyframes in the order of their time stamps.
 pub trait KeyframeSource {
+    /// Whether the keyframes are photographs: those next to each other in time need not be near, and tell
+    /// nothing of the motion during an exposure.
+    fn is_unordered(&self) -> bool {
+        false
+    }
+
     /// Pinhole camera of all pictures and depths.
     fn camera(&self) -> &Camera<f64>;
 

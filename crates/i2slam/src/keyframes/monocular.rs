@@ -9,7 +9,10 @@ use super::{KeyframeSource, PictureError, PosedKeyframe};
 use i2slam_compute::CancellationToken;
 use i2slam_dataset::Frame;
 use i2slam_geometry::{Camera, Pose, StampedPose};
-use i2slam_odometry::{DenseDepthEstimator, KeyframePictures, PoseDeviation, Reconstruction};
+use i2slam_odometry::{
+    DenseDepthEstimator, KeyframePictures, MAX_KEYFRAME_DISTANCE, MAX_PHOTOGRAPH_DISTANCE,
+    PoseDeviation, Reconstruction,
+};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use thiserror::Error;
 
@@ -84,7 +87,8 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
     /// Keyframes of a path through pictures that were given to the front end.
     pub(crate) fn of_path(reconstruction: Reconstruction, given: GivenPictures, load: L) -> Self {
         let GivenPictures { positions, refused, .. } = given;
-        let reader = PictureReader::new(keyframe_positions(&reconstruction, &positions), load);
+        let positions_of_keyframes = keyframe_positions(&reconstruction, &positions);
+        let reader = PictureReader::new(positions_of_keyframes, load, reconstruction.is_unordered);
         let coming = (0..reconstruction.keyframes.len()).collect();
         let (dense, between) = (None, FramesBetween::default());
         Self { reconstruction, dense, reader, positions, refused, coming, between }
@@ -99,7 +103,8 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
     {
         let Self { reconstruction, dense, positions, refused, coming, between, .. } = self;
         let reconstruction = reconstruction.resized(width, height);
-        let reader = PictureReader::new(keyframe_positions(&reconstruction, &positions), load);
+        let positions_of_keyframes = keyframe_positions(&reconstruction, &positions);
+        let reader = PictureReader::new(positions_of_keyframes, load, reconstruction.is_unordered);
         MonocularSource { reconstruction, dense, reader, positions, refused, coming, between }
     }
 
@@ -107,11 +112,13 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
     #[must_use]
     pub fn with_dense_depth(mut self, cancellation: CancellationToken) -> Self {
         let views = self.reconstruction.keyframes.iter().map(posed_view).collect();
-        self.dense = Some(
-            DenseDepthEstimator::new(self.reconstruction.camera, views)
-                .with_depth_model(self.reconstruction.depth_model.clone())
-                .with_cancellation(cancellation),
-        );
+        let dense = DenseDepthEstimator::new(self.reconstruction.camera, views)
+            .with_depth_model(self.reconstruction.depth_model.clone())
+            .with_cancellation(cancellation);
+        self.dense = Some(match self.reconstruction.is_unordered {
+            true => dense.with_any_order(),
+            false => dense,
+        });
         self
     }
 
@@ -206,6 +213,10 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
 }
 
 impl<L: FnMut(usize) -> Result<Frame, PictureError>> KeyframeSource for MonocularSource<L> {
+    fn is_unordered(&self) -> bool {
+        self.reconstruction.is_unordered
+    }
+
     fn camera(&self) -> &Camera<f64> {
         &self.reconstruction.camera
     }
@@ -288,23 +299,29 @@ fn keyframe_positions(found: &Reconstruction, positions: &[usize]) -> Vec<usize>
     found.keyframes.iter().filter_map(|keyframe| positions.get(keyframe.index).copied()).collect()
 }
 
-/// Keyframes whose pictures stay cached for later ones: the reach of dense depth.
-const CACHED: usize = 16;
+/// Keyframes whose pictures stay cached for later ones: the reach of dense depth, in a film and among
+/// photographs.
+const CACHED: usize = 2 * MAX_KEYFRAME_DISTANCE;
+const CACHED_PHOTOGRAPHS: usize = 2 * MAX_PHOTOGRAPH_DISTANCE;
 
 /// Reads the pictures of keyframes once and in order: going back in a video decodes it again.
 pub(super) struct PictureReader<L> {
     load: L,
     /// Position of each keyframe in the sequence.
     positions: Vec<usize>,
+    /// Number of keyframes that stay cached.
+    cached: usize,
     /// Number of keyframes read or passed over so far.
     read: usize,
     pictures: BTreeMap<usize, Result<Frame, PictureError>>,
 }
 
 impl<L: FnMut(usize) -> Result<Frame, PictureError>> PictureReader<L> {
-    /// A reader of the keyframes at `positions`; `load` reads the picture at a position.
-    pub(super) fn new(positions: Vec<usize>, load: L) -> Self {
-        Self { load, positions, read: 0, pictures: BTreeMap::new() }
+    /// A reader of the keyframes at `positions`, of a film or of photographs; `load` reads the picture at a
+    /// position.
+    pub(super) fn new(positions: Vec<usize>, load: L, is_unordered: bool) -> Self {
+        let cached = if is_unordered { CACHED_PHOTOGRAPHS } else { CACHED };
+        Self { load, positions, cached, read: 0, pictures: BTreeMap::new() }
     }
 
     /// The picture of a keyframe, if readable and still cached.
@@ -316,7 +333,7 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> PictureReader<L> {
     /// The picture of the next keyframe; drops those out of reach from the cache.
     pub(super) fn next(&mut self, keyframe: usize) -> Result<Frame, PictureError> {
         self.read_up_to(keyframe);
-        self.pictures.retain(|k, _| *k + CACHED >= keyframe);
+        self.pictures.retain(|k, _| *k + self.cached >= keyframe);
         match self.pictures.get(&keyframe) {
             Some(Ok(picture)) => Ok(picture.clone()),
             _ => {
@@ -327,7 +344,7 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> PictureReader<L> {
 
     fn read_up_to(&mut self, keyframe: usize) {
         // Those in between are out of reach, and many where most keyframes are not asked for.
-        self.read = self.read.max(keyframe.saturating_sub(CACHED));
+        self.read = self.read.max(keyframe.saturating_sub(self.cached));
         while self.read <= keyframe && self.read < self.positions.len() {
             self.pictures.insert(self.read, (self.load)(self.positions[self.read]));
             self.read += 1;

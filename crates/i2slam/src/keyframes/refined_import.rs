@@ -36,6 +36,8 @@ pub struct RefinedImport<L> {
     is_refined: bool,
     /// Whether depth was measured.
     has_depth: bool,
+    /// Whether the keyframes are photographs.
+    is_unordered: bool,
 }
 
 impl<L: FnMut(usize) -> Result<Frame, PictureError>> RefinedImport<L> {
@@ -58,7 +60,9 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> RefinedImport<L> {
         }
         let path = OdometryPath::new(&poses, &found, |frame| odometry.position(frame))?;
         let correlations = path.correlations([&poses, &path.poses], &mut load, &cancellation);
-        let is_refined = correlations[1] > correlations[0] + MIN_CORRELATION_GAIN;
+        // Photographs are too far apart for a comparison of patches.
+        let is_better = correlations[1] > correlations[0] + MIN_CORRELATION_GAIN;
+        let is_refined = is_better && !found.is_unordered;
         if is_refined {
             poses.clone_from(&path.poses);
         }
@@ -68,9 +72,19 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> RefinedImport<L> {
         });
         let dense =
             DenseDepthEstimator::new(camera, views.collect()).with_cancellation(cancellation);
-        let reader = PictureReader::new((0..poses.len()).collect(), load);
-        let has_depth = found.depth_model.is_some();
-        Some(Self { camera, poses, dense, reader, next: 0, correlations, is_refined, has_depth })
+        let dense = if found.is_unordered { dense.with_any_order() } else { dense };
+        let reader = PictureReader::new((0..poses.len()).collect(), load, found.is_unordered);
+        Some(Self {
+            camera,
+            poses,
+            dense,
+            reader,
+            next: 0,
+            correlations,
+            is_refined,
+            has_depth: found.depth_model.is_some(),
+            is_unordered: found.is_unordered,
+        })
     }
 
     /// A sentence on the refinement for the user.
@@ -91,6 +105,10 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> RefinedImport<L> {
 impl<L: FnMut(usize) -> Result<Frame, PictureError>> KeyframeSource for RefinedImport<L> {
     fn camera(&self) -> &Camera<f64> {
         &self.camera
+    }
+
+    fn is_unordered(&self) -> bool {
+        self.is_unordered
     }
 
     fn next_keyframe(&mut self) -> Option<Result<PosedKeyframe, PictureError>> {

@@ -42,6 +42,9 @@ const PRIOR_DEVIATION: f64 = 0.15;
 const POWER_ERROR: f64 = 0.1;
 /// Distance of the power by blur from what is known without, in standard deviations, at most.
 const MAX_POWER_DEVIATIONS: f64 = 2.0;
+/// Ratio of the stops that a response spans to those of the start curve, at most: Reinhard's, the softest,
+/// spans 1.6 times as many.
+const MAX_RANGE_RATIO: f64 = 2.5;
 /// Picture values between which the former response is trusted; beyond, linear values are shifted.
 const TRUSTED: [f32; 2] = [0.05, 0.97];
 /// Picture values whose distance in stops tells by how much exposures are stretched.
@@ -131,7 +134,17 @@ fn next_response(
         |shape: &CameraResponse<f32>| log_range(&former, TIED) / log_range(&shape.curve(), TIED);
     let has_power = context.has_found_response;
     let power = power.or_else(|| shape.as_ref().filter(|_| has_power).map(kept));
-    Some(shape.as_ref().unwrap_or(response).raised(power.unwrap_or(1.0)))
+    let next = shape.as_ref().unwrap_or(response).raised(power.unwrap_or(1.0));
+    is_plausible(&next).then_some(next)
+}
+
+/// Whether a response spans about as many stops as the start curve: points of wrong poses bend it without
+/// bound.
+fn is_plausible(response: &CameraResponse<f32>) -> bool {
+    let start = CameraResponse::<f32>::new(1, response.start(), response.spacing()).curve();
+    let spanned = TRUSTED.map(f64::from);
+    let ratio = log_range(&response.curve(), spanned) / log_range(&start, spanned);
+    (1.0 / MAX_RANGE_RATIO..MAX_RANGE_RATIO).contains(&ratio)
 }
 
 /// The power to which linear values are to be raised: between that of the start curve and that by blur, by
@@ -362,6 +375,13 @@ mod tests {
         assert!(after < 0.15 && before > 0.5, "{before} {after}");
         let known = response(StartCurve::Shoulder);
         assert!(points.better_response(&known, 0).is_none(), "the true one was replaced");
+    }
+
+    #[test]
+    fn a_response_that_spans_many_more_stops_is_not_taken_over() {
+        let raised = |power| response(StartCurve::Shoulder).raised(power);
+        assert!([0.7, 1.0, 1.6].iter().all(|power| is_plausible(&raised(*power))));
+        assert!([0.2, 4.0].iter().all(|power| !is_plausible(&raised(*power))));
     }
 
     #[test]

@@ -38,6 +38,8 @@ pub(super) struct Input<'a> {
     pub(super) kind: &'static ItemKind,
     /// Camera of all pictures.
     pub(super) camera: Camera<f64>,
+    /// Whether the keyframes are photographs, in no order.
+    pub(super) is_unordered: bool,
     /// Readout of a rolling shutter that the source has found [s]; 0 without.
     pub(super) readout: f64,
     pub(super) frame_rate: f64,
@@ -93,6 +95,7 @@ impl<'a> Input<'a> {
             keyframes: sequence.len(),
             kind: &FRAMES,
             camera: sequence.camera,
+            is_unordered: false,
             readout: 0.0,
             frame_rate: sequence.frame_rate,
             between: Box::new(std::iter::empty()),
@@ -138,6 +141,7 @@ pub(super) fn run<'a>(
     };
     context.observer.progress(input.kind.stage, before, before + input.count);
     session.set_found_readout(input.readout);
+    session.set_unordered(input.is_unordered);
     session.share_steps(&options.config, input.keyframes, before + input.count);
     // Where the frames between keyframes are localised, too, their tracking tells.
     let is_path =

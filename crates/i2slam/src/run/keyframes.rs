@@ -53,6 +53,7 @@ fn keyframes_of(
         keyframes: count,
         kind: &KEYFRAMES,
         camera: *source.camera(),
+        is_unordered: source.is_unordered(),
         readout: source.readout(),
         items: Box::new(std::iter::from_fn(move || {
             Some(source.next_keyframe()?.map(|keyframe| Item::Keyframe(Box::new(keyframe))))

@@ -32,6 +32,7 @@ impl Stage {
     pub fn name(self) -> &'static str {
         match self {
             Self::Odometry(keyframes::Stage::Tracking { .. }) => "tracking points",
+            Self::Odometry(keyframes::Stage::Matching) => "matching photographs",
             Self::Odometry(keyframes::Stage::FocalLength) => "estimating the focal length",
             Self::Odometry(keyframes::Stage::Registration) => "finding camera poses",
             Self::Odometry(keyframes::Stage::BundleAdjustment) => "adjusting camera poses",

@@ -57,6 +57,8 @@ pub struct Session {
     source: Option<SourcePoses>,
     /// True if a setting gives the readout of a rolling shutter, or asks for its estimate.
     is_readout_given: bool,
+    /// True if frames are photographs.
+    is_unordered: bool,
     /// Whether a frame without a depth picture was warned of.
     is_missing_depth_told: bool,
     failure: Option<SettingsError>,
@@ -96,6 +98,7 @@ impl Session {
             tracker: FrameTracker::new(frame_rate, &config.input),
             source: None,
             is_readout_given: config.input.is_rolling(),
+            is_unordered: false,
             is_missing_depth_told: false,
             failure: None,
             config,
@@ -166,6 +169,13 @@ impl Session {
             self.config = self.config.clone().with_found_readout(seconds);
             self.tracker.readout = SequenceReadout::new(&self.config.input);
         }
+    }
+
+    /// Sets whether the keyframes are photographs: nothing is told of their motion and light by those before
+    /// and after them in time.
+    pub(crate) fn set_unordered(&mut self, is_unordered: bool) {
+        self.is_unordered = is_unordered;
+        self.config.formation.trajectory_loss &= !is_unordered;
     }
 
     /// Shares the steps that a configuration gives `keyframes` among `count` frames.

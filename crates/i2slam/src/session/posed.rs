@@ -98,7 +98,7 @@ impl Session {
         let maps = estimate.keyframe;
         estimate.keyframe &= is_keyframe;
         self.insert(position, estimate);
-        if position == 1 {
+        if position == 1 && !self.is_unordered {
             self.initialize_first_exposure();
         }
         if maps {
@@ -187,7 +187,8 @@ impl Session {
         };
         let known = adjacent.motion_per_interval(timestamp, self.frame_rate);
         let from_previous = || {
-            let adjacent = AdjacentFrames::from_neighbour(&estimate, previous?);
+            let previous = previous.filter(|_| !self.is_unordered)?;
+            let adjacent = AdjacentFrames::from_neighbour(&estimate, previous);
             adjacent.motion_per_interval(timestamp, self.frame_rate)
         };
         if let Some(motion) = known.or_else(from_previous) {
@@ -254,7 +255,8 @@ impl Session {
             true => self.state.frames[place].clone(),
             false => self.unrefined_estimate(place, index, timestamp, world_from_camera),
         };
-        let previous = place.checked_sub(1).map(|i| self.state.frames[i].clone());
+        let previous = place.checked_sub(1).filter(|_| !self.is_unordered);
+        let previous = previous.map(|i| self.state.frames[i].clone());
         let (mapper, tracker, context) = self.mapping();
         let frame = (&mut estimate, &colour);
         if !tracker.localize(mapper, &context, frame, previous.as_ref(), context.frames) {

@@ -30,6 +30,8 @@ use std::sync::Arc;
 
 /// Largest difference between the numbers of a keyframe and of those it is matched with.
 pub const MAX_KEYFRAME_DISTANCE: usize = 8;
+/// Largest difference between the numbers of photographs that are matched.
+pub const MAX_PHOTOGRAPH_DISTANCE: usize = 100;
 /// Keyframes that one is matched with, and compared with for consistency.
 const MAX_VIEWS: usize = 5;
 /// Share of pixels without a reading from which on they are estimated from pictures: less is beside
@@ -100,6 +102,8 @@ pub struct DenseDepthEstimator {
     /// Evidence of pictures against the readings of keyframes, see [`picture_check`].
     evidence: BTreeMap<usize, Vec<f32>>,
     cancellation: CancellationToken,
+    /// Largest difference between the numbers of a keyframe and of those it is matched with.
+    reach: usize,
 }
 
 impl DenseDepthEstimator {
@@ -115,7 +119,15 @@ impl DenseDepthEstimator {
             measured: BTreeMap::new(),
             evidence: BTreeMap::new(),
             cancellation: CancellationToken::default(),
+            reach: MAX_KEYFRAME_DISTANCE,
         }
+    }
+
+    /// Matches photographs, which are in no order, with any others; beyond [`MAX_PHOTOGRAPH_DISTANCE`] with
+    /// those whose numbers differ by less, which bounds the memory.
+    #[must_use]
+    pub fn with_any_order(self) -> Self {
+        Self { reach: MAX_PHOTOGRAPH_DISTANCE, ..self }
     }
 
     /// Uses measured depth with the deviations of `model`.
@@ -172,12 +184,12 @@ impl DenseDepthEstimator {
             (Some(readings), None) => Some(depth_from_inverse(&readings)),
             (None, swept) => swept.as_ref().map(swept_depth),
         };
-        let oldest = index.saturating_sub(2 * MAX_KEYFRAME_DISTANCE);
+        let oldest = index.saturating_sub(2 * self.reach);
         self.estimates.retain(|i, _| *i >= oldest);
         self.matched.retain(|i, _| *i >= oldest);
         self.measured.retain(|i, _| *i >= oldest);
         self.evidence.retain(|i, _| *i >= oldest);
-        self.pictures.retain(|i, _| *i + MAX_KEYFRAME_DISTANCE >= oldest);
+        self.pictures.retain(|i, _| *i + self.reach >= oldest);
         depth
     }
 
@@ -357,8 +369,8 @@ impl DenseDepthEstimator {
         world_from_camera: Pose<f64>,
         depth: f64,
     ) -> Vec<usize> {
-        let last = (near + MAX_KEYFRAME_DISTANCE + 1).min(self.views.len());
-        let near = near.saturating_sub(MAX_KEYFRAME_DISTANCE)..last;
+        let last = (near + self.reach + 1).min(self.views.len());
+        let near = near.saturating_sub(self.reach)..last;
         let others: Vec<(usize, Pose<f64>)> =
             near.filter(|i| Some(*i) != except).map(|i| (i, self.pose(i))).collect();
         view_selection::select_views(&self.camera, world_from_camera, &others, depth, MAX_VIEWS)

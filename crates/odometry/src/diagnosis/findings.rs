@@ -27,7 +27,12 @@ pub(crate) fn diagnose(state: &SfmState, pictures: &PictureChecks) -> Findings {
     frames.retain(|frame| !pictures.is_repeat[*frame]);
     let step = |from: usize, to: usize| motion.step(from, to).unwrap_or_default();
     let blank = runs(&pictures.is_blank).into_iter().map(|frames| Warning::BlankFrames { frames });
-    let shuffled = shuffled_ranges(&frames, width, step).into_iter();
+    // Photographs have no order that could be wrong.
+    let shuffled = match state.photographs.is_some() {
+        true => Vec::new(),
+        false => shuffled_ranges(&frames, width, step),
+    };
+    let shuffled = shuffled.into_iter();
     let moving = moving_parts(state).into_iter();
     let warnings = blank
         .chain(frozen_warnings(&frozen))

@@ -2,12 +2,21 @@
 
 use crate::multiview::landmark::{MAX_INLIER_ERROR, Match, reprojection_error};
 use crate::multiview::robust_loss::{cauchy, length};
-use i2slam_compute::NormalEquations;
+use i2slam_compute::{NormalEquations, Random};
 use i2slam_geometry::{Camera, Pose, Tangent};
 
 /// Widths of the Cauchy loss in turn [standard deviations]: wide converges, narrow rejects.
 const LOSS_WIDTHS: [f64; 3] = [40.0, 12.0, 3.0];
 const MAX_STEPS: usize = 12;
+/// Hypotheses of RANSAC, and matches of each.
+const HYPOTHESES: usize = 300;
+const SAMPLE_SIZE: usize = 4;
+/// Residual at which the RANSAC cost is truncated, also of inliers [standard deviations].
+const MAX_RANSAC_ERROR: f64 = 3.0;
+/// Inliers of the RANSAC pose, and their ratio of all matches.
+const MIN_RANSAC_INLIERS: usize = 12;
+const MIN_RANSAC_INLIER_RATIO: f64 = 0.25;
+
 /// A pose with its support.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct PnpSolution {
@@ -36,6 +45,48 @@ pub(crate) fn solve_pnp(
         .filter(|m| reprojection_error(camera, &pose, m) < MAX_INLIER_ERROR * noise)
         .count();
     pose.is_finite().then_some(PnpSolution { world_from_camera: pose, inliers })
+}
+
+/// The pose of least truncated cost among those of random samples, each found from `start` on; `None` where
+/// too few matches agree with it.
+pub(crate) fn solve_pnp_ransac(
+    camera: &Camera<f64>,
+    start: Pose<f64>,
+    matches: &[Match<'_>],
+) -> Option<Pose<f64>> {
+    let (pose, inliers) = pose_of_samples(camera, &[start], matches, HYPOTHESES)?;
+    let enough = inliers.len() >= MIN_RANSAC_INLIERS
+        && inliers.len() as f64 >= MIN_RANSAC_INLIER_RATIO * matches.len() as f64;
+    enough.then(|| solve_pnp(camera, pose, &inliers, 1.0).map(|r| r.world_from_camera)).flatten()
+}
+
+/// The pose of least truncated cost among those of random samples, each found from one of `starts` on, and
+/// the matches that agree with it.
+pub(crate) fn pose_of_samples<'a>(
+    camera: &Camera<f64>,
+    starts: &[Pose<f64>],
+    matches: &[Match<'a>],
+    hypotheses: usize,
+) -> Option<(Pose<f64>, Vec<Match<'a>>)> {
+    if matches.len() < SAMPLE_SIZE || starts.is_empty() {
+        return None;
+    }
+    let mut random = Random::new(matches.len() as u64);
+    let mut best: Option<(f64, Pose<f64>)> = None;
+    for hypothesis in 0..hypotheses {
+        let sample: Vec<Match<'_>> =
+            (0..SAMPLE_SIZE).map(|_| matches[random.below(matches.len())]).collect();
+        let pose = solve_pnp_minimal(camera, starts[hypothesis % starts.len()], &sample);
+        let off =
+            |m: &Match<'_>| reprojection_error(camera, &pose, m).min(MAX_RANSAC_ERROR).powi(2);
+        let cost: f64 = matches.iter().map(off).sum();
+        if pose.is_finite() && best.is_none_or(|(least, _)| cost < least) {
+            best = Some((cost, pose));
+        }
+    }
+    let pose = best?.1;
+    let agrees = |m: &&Match<'_>| reprojection_error(camera, &pose, m) < MAX_RANSAC_ERROR;
+    Some((pose, matches.iter().filter(agrees).copied().collect()))
 }
 
 /// The least-squares pose of a minimal sample of matches, from `start` on.

@@ -10,6 +10,8 @@ const HYPOTHESES: usize = 300;
 const SAMPLE_SIZE: usize = 5;
 /// Epipolar distance at which the RANSAC cost is truncated [px].
 const MAX_RANSAC_ERROR: f64 = 2.0;
+/// Largest angle between two views of a scene whose points can be matched [rad].
+const MAX_ORBIT_ANGLE: f64 = 1.2;
 /// Smallest number of shared points.
 const MIN_SHARED: usize = 24;
 
@@ -68,11 +70,11 @@ pub(crate) fn fit_rotation(focal: f64, ray_pairs: &[RayPair]) -> Option<(Rotatio
 }
 
 /// Estimates the relative pose by RANSAC: samples of five points, each solved by iteration (Lui and
-/// Drummond 2013) from `rotation` on; the best one is refined on all points.
+/// Drummond 2013) from a pose of `start` on; the best one is refined on all points.
 pub(crate) fn estimate_relative_pose(
     focal: f64,
     ray_pairs: &[RayPair],
-    rotation: Rotation<f64>,
+    mut start: impl FnMut(&mut Random) -> Pose<f64>,
 ) -> Option<RelativePose> {
     if ray_pairs.len() < MIN_SHARED {
         return None;
@@ -82,7 +84,7 @@ pub(crate) fn estimate_relative_pose(
     for _ in 0..HYPOTHESES {
         let sample: Vec<RayPair> =
             (0..SAMPLE_SIZE).map(|_| ray_pairs[random.below(ray_pairs.len())]).collect();
-        let start = Pose::new(rotation, random_direction(&mut random));
+        let start = start(&mut random);
         let Some(found) = refine_relative_pose(&sample, start, 12, |_| 1.0) else { continue };
         let cost = ray_pairs.iter().map(|r| sampson(&found, r).powi(2) * focal * focal);
         let cost: f64 = cost.map(|c| c.min(MAX_RANSAC_ERROR * MAX_RANSAC_ERROR)).sum();
@@ -94,7 +96,33 @@ pub(crate) fn estimate_relative_pose(
         if r.abs() * focal < 2.0 * MAX_RANSAC_ERROR { cauchy(r * focal, 0.7).0 } else { 0.0 }
     };
     let refined = refine_relative_pose(ray_pairs, best?.1, 20, weight)?;
-    Some(resolve_translation_sign(focal, ray_pairs, refined))
+    Some(resolve_cheirality(focal, ray_pairs, refined))
+}
+
+/// Poses of a camera that turns by `rotation`, in random directions.
+pub(crate) fn poses_turned_by(rotation: Rotation<f64>) -> impl FnMut(&mut Random) -> Pose<f64> {
+    move |random| Pose::new(rotation, random_direction(random))
+}
+
+/// Poses of a camera that moves around what both pictures show: by a random angle about a random axis
+/// through the point in the middle of the shared ones.
+pub(crate) fn orbit_poses(ray_pairs: &[RayPair]) -> impl FnMut(&mut Random) -> Pose<f64> {
+    let sum = ray_pairs.iter().fold((Vec3::zero(), Vec3::zero()), |s, r| (s.0 + r.0, s.1 + r.1));
+    let middle = |v: Vec3<f64>| v * v.norm().max(1e-12).recip();
+    let (first, second) = (middle(sum.0), middle(sum.1));
+    let axis = first.cross(second);
+    let angle = axis.norm().atan2(first.dot(second));
+    let facing = Rotation::exp(axis * (angle / axis.norm().max(1e-12)));
+    move |random| {
+        let turn = random_direction(random) * (MAX_ORBIT_ANGLE * random.uniform());
+        let rotation = Rotation::exp(turn) * facing;
+        let moved = second - rotation.rotate(first);
+        let direction = match moved.norm() > 1e-6 {
+            true => moved * moved.norm().recip(),
+            false => random_direction(random),
+        };
+        Pose::new(rotation, direction)
+    }
 }
 
 /// A uniformly random direction.
@@ -161,15 +189,30 @@ pub(crate) fn refine_relative_pose(
     pose.is_finite().then_some(pose)
 }
 
-/// Chooses the sign of the translation that puts points in front of both cameras.
-fn resolve_translation_sign(focal: f64, ray_pairs: &[RayPair], pose: Pose<f64>) -> RelativePose {
-    let flipped = Pose::new(pose.rotation, -pose.translation);
+/// Chooses among the four poses of one epipolar geometry, of which two are turned by half a turn about the
+/// translation, the one that puts most points in front of both cameras.
+pub(crate) fn resolve_cheirality(
+    focal: f64,
+    ray_pairs: &[RayPair],
+    pose: Pose<f64>,
+) -> RelativePose {
+    let t = pose.translation;
+    let half_turn = Rotation::exp(t * (std::f64::consts::PI / t.norm().max(1e-12)));
+    let twisted = half_turn * pose.rotation;
     let count = |pose: &Pose<f64>| {
         let fits = |r: &&RayPair| sampson(pose, r).abs() * focal < MAX_RANSAC_ERROR;
-        ray_pairs.iter().filter(fits).filter(|r| has_positive_depth(pose, r, focal)).count()
+        let back = pose.inverse();
+        let is_before = |r: &&RayPair| {
+            has_positive_depth(pose, r, focal) && has_positive_depth(&back, &(r.1, r.0), focal)
+        };
+        ray_pairs.iter().filter(fits).filter(is_before).count()
     };
-    let (here, there) = (count(&pose), count(&flipped));
-    let (pose, most) = if here >= there { (pose, here) } else { (flipped, there) };
+    let rotations = [pose.rotation, twisted];
+    let all = rotations.into_iter().flat_map(|r| [Pose::new(r, t), Pose::new(r, -t)]);
+    let first = (count(&pose), pose);
+    let (most, pose) = all
+        .map(|pose| (count(&pose), pose))
+        .fold(first, |best, next| if next.0 > best.0 { next } else { best });
     RelativePose { second_from_first: pose, inlier_ratio: most as f64 / ray_pairs.len() as f64 }
 }
 
@@ -210,7 +253,8 @@ mod tests {
         let ray_pairs = scene(pose);
         let (rotation, residual) = fit_rotation(250.0, &ray_pairs).expect("enough points");
         assert!(residual > 3.0, "a moving camera does not only turn: {residual}");
-        let found = estimate_relative_pose(250.0, &ray_pairs, rotation).expect("enough points");
+        let found = estimate_relative_pose(250.0, &ray_pairs, poses_turned_by(rotation));
+        let found = found.expect("enough points");
         let off = (found.second_from_first.translation - random_direction).norm();
         // Some wrong matches lie near their epipolar lines and pull.
         assert!(off < 0.1, "{off}");

@@ -3,7 +3,9 @@
 use crate::depth::readings::read_depth;
 use crate::error::OdometryError;
 use crate::multiview::triangulation::parallax;
-use crate::multiview::two_view::{RelativePose, estimate_relative_pose, fit_rotation, ray_pairs};
+use crate::multiview::two_view::{
+    RelativePose, estimate_relative_pose, fit_rotation, orbit_poses, poses_turned_by, ray_pairs,
+};
 use crate::sfm_state::SfmState;
 use i2slam_compute::median;
 use i2slam_geometry::{Pose, Rotation};
@@ -98,7 +100,13 @@ fn initialize_from_parallax(
                 return None;
             }
             let shared = state.shared_positions(p.first, p.second);
-            estimate_relative_pose(state.camera.fx, &ray_pairs(&state.camera, &shared), p.rotation)
+            let rays = ray_pairs(&state.camera, &shared);
+            match state.photographs.is_some() {
+                true => estimate_relative_pose(state.camera.fx, &rays, orbit_poses(&rays)),
+                false => {
+                    estimate_relative_pose(state.camera.fx, &rays, poses_turned_by(p.rotation))
+                }
+            }
         })
         .collect();
     let mut candidates: Vec<(&KeyframePair, RelativePose)> = moved
@@ -123,8 +131,9 @@ fn initialize_from_parallax(
 /// All pairs of keyframes in `places` that share enough points.
 fn candidate_pairs(state: &SfmState, places: Range<usize>) -> Vec<KeyframePair> {
     let keyframes = &state.tracks.keyframes[places];
+    let gap = if state.photographs.is_some() { keyframes.len() } else { MAX_KEYFRAME_GAP };
     let indices: Vec<(usize, usize)> = (0..keyframes.len())
-        .flat_map(|i| (i + 1..(i + 1 + MAX_KEYFRAME_GAP).min(keyframes.len())).map(move |j| (i, j)))
+        .flat_map(|i| (i + 1..(i + 1 + gap).min(keyframes.len())).map(move |j| (i, j)))
         .collect();
     indices
         .par_iter()

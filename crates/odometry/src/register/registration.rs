@@ -3,6 +3,7 @@
 use crate::depth::readings::update_depth_model;
 use crate::multiview::pnp::{PnpSolution, solve_pnp};
 use crate::progress::Stage;
+use crate::register::photographs::register_next_photograph;
 use crate::register::resection_intersection::adjust_in_turn;
 use crate::sfm_state::{MAX_JOINT_POSES, SfmState};
 use i2slam_geometry::Pose;
@@ -41,9 +42,12 @@ pub(crate) fn register_keyframes(state: &mut SfmState, adjust_focal: bool, most:
     }
 }
 
-/// Adjusts the frames nearest to one.
+/// Adjusts the frames nearest to one; of photographs all.
 pub(crate) fn adjust_nearest(state: &mut SfmState, frame: usize) {
-    let near = nearest_posed(&state.adjusted_frames(), frame);
+    let near = match state.photographs.is_some() {
+        true => state.adjusted_frames(),
+        false => nearest_posed(&state.adjusted_frames(), frame),
+    };
     state.adjust(&near, false, LOCAL_STEPS);
     state.reject_outliers_in(&near);
 }
@@ -153,6 +157,9 @@ pub(crate) fn register_remaining_frames(state: &mut SfmState) {
 
 /// Registers the keyframe with most landmarks: of those near registered ones, or else of all.
 fn register_next_keyframe(state: &mut SfmState) -> Option<usize> {
+    if state.photographs.is_some() {
+        return register_next_photograph(state);
+    }
     let keyframes = &state.tracks.keyframes;
     let is_near = |i: usize| {
         let around = &keyframes

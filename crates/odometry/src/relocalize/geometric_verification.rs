@@ -5,7 +5,7 @@
 //! on two walls does not pass.
 
 use crate::multiview::landmark::{Landmark, Match, reprojection_error};
-use crate::multiview::pnp::{solve_pnp, solve_pnp_minimal};
+use crate::multiview::pnp::{solve_pnp, solve_pnp_ransac};
 use crate::relocalize::descriptor::DescribedPoints;
 use crate::sfm_state::SfmState;
 use crate::track::patch::AffineWarp;
@@ -13,19 +13,13 @@ use crate::track::point_search::{AnchorPatch, position_sigma};
 use crate::track::pyramid::Pyramid;
 use crate::track::thumbnail::KeyframeImage;
 use crate::track::tracks::Observation;
-use i2slam_compute::{Random, median};
+use i2slam_compute::median;
 use i2slam_geometry::Pose;
 
 /// Standard deviation of descriptor matches [px of the kept picture].
 const DESCRIPTOR_SIGMA: f64 = 1.5;
-/// Hypotheses of RANSAC, and matches of each.
-const HYPOTHESES: usize = 300;
-const SAMPLE_SIZE: usize = 4;
-/// Residual at which the RANSAC cost is truncated, also of inliers [standard deviations].
-const MAX_RANSAC_ERROR: f64 = 3.0;
-/// Inliers of the RANSAC pose, and their ratio of all matches.
-const MIN_RANSAC_INLIERS: usize = 12;
-const MIN_RANSAC_INLIER_RATIO: f64 = 0.25;
+/// Residual of a match that agrees with the pose [standard deviations].
+const MAX_MATCH_ERROR: f64 = 3.0;
 /// Points of the old keyframe that are searched.
 const MAX_SEARCHED_POINTS: usize = 200;
 /// Correlation with the old patch, and distance from the predicted position [px].
@@ -70,7 +64,7 @@ pub(crate) fn match_and_verify(
     let (tracks, observations) = comparison.match_descriptors();
     let known = |(_, j): &(usize, usize)| comparison.known[*j].1;
     let matches: Vec<Match<'_>> = tracks.iter().map(known).zip(&observations).collect();
-    let pose = ransac_pose(state, comparison.old_pose, &matches)?;
+    let pose = solve_pnp_ransac(&state.camera, comparison.old_pose, &matches)?;
     let observations = comparison.verify_pose(pose)?;
     let exact: Vec<Match<'_>> =
         observations.iter().filter_map(|(t, o)| Some((state.landmarks[*t].as_ref()?, o))).collect();
@@ -198,33 +192,6 @@ impl<'a> KeyframeComparison<'a> {
     }
 }
 
-/// The pose with most inliers by RANSAC.
-fn ransac_pose(state: &SfmState, start: Pose<f64>, matches: &[Match<'_>]) -> Option<Pose<f64>> {
-    if matches.len() < MIN_RANSAC_INLIERS {
-        return None;
-    }
-    let camera = &state.camera;
-    let mut random = Random::new(matches.len() as u64);
-    let mut best: Option<(f64, Pose<f64>)> = None;
-    for _ in 0..HYPOTHESES {
-        let sample: Vec<Match<'_>> =
-            (0..SAMPLE_SIZE).map(|_| matches[random.below(matches.len())]).collect();
-        let pose = solve_pnp_minimal(camera, start, &sample);
-        let off =
-            |m: &Match<'_>| reprojection_error(camera, &pose, m).min(MAX_RANSAC_ERROR).powi(2);
-        let cost: f64 = matches.iter().map(off).sum();
-        if pose.is_finite() && best.is_none_or(|(least, _)| cost < least) {
-            best = Some((cost, pose));
-        }
-    }
-    let pose = best?.1;
-    let agrees = |m: &&Match<'_>| reprojection_error(camera, &pose, m) < MAX_RANSAC_ERROR;
-    let inliers: Vec<Match<'_>> = matches.iter().filter(agrees).copied().collect();
-    let enough = inliers.len() >= MIN_RANSAC_INLIERS
-        && inliers.len() as f64 >= MIN_RANSAC_INLIER_RATIO * matches.len() as f64;
-    enough.then(|| solve_pnp(camera, pose, &inliers, 1.0).map(|r| r.world_from_camera)).flatten()
-}
-
 /// Correction for the rolling shutter near a position of a frame [px].
 fn rolling_shutter_offset(state: &SfmState, frame: usize, at: [f64; 2]) -> [f64; 2] {
     let far = |o: &Observation| (o.at()[0] - at[0]).powi(2) + (o.at()[1] - at[1]).powi(2);
@@ -265,7 +232,7 @@ fn relative_scale<'a>(
     let ratio = |(track, m): (usize, Match<'a>)| {
         let here = (own.inverse() * state.landmarks[track]?.position()).z;
         let there = (pose.inverse() * m.0.position()).z;
-        let agrees = reprojection_error(&state.camera, pose, &m) < MAX_RANSAC_ERROR;
+        let agrees = reprojection_error(&state.camera, pose, &m) < MAX_MATCH_ERROR;
         (agrees && here > 0.0 && there > 0.0).then_some(there / here)
     };
     let mut ratios: Vec<f64> = matches.filter_map(ratio).collect();

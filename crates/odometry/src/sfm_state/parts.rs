@@ -35,6 +35,7 @@ impl SfmState {
             timestamps: Arc::clone(&self.timestamps),
             depth_maps: Arc::clone(&self.depth_maps),
             depth_model: self.depth_model.clone(),
+            photographs: self.photographs.clone(),
             pictures: Arc::clone(&self.pictures),
             relative_poses: Arc::clone(&self.relative_poses),
             progress: self.progress.clone(),

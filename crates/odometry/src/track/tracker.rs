@@ -68,7 +68,7 @@ struct TrackedPoint {
 /// A tracked picture.
 #[derive(Clone, Debug)]
 struct TrackedPicture {
-    pyramid: Pyramid,
+    pyramid: Arc<Pyramid>,
     /// Translation since the picture before [px].
     shift: [f32; 2],
     /// Movement while the shutter was open [px].
@@ -114,7 +114,7 @@ impl Tracker {
     /// Tracks all points into the next picture.
     pub(crate) fn track(&mut self, picture: &Image<f32>) -> TrackedFrame {
         let frame = self.frames;
-        let pyramid = Pyramid::new(picture);
+        let pyramid = Arc::new(Pyramid::new(picture));
         let mut next = TrackedPicture { pyramid, shift: [0.0; 2], blur: [0.0; 2] };
         let mut tracked = self.track_points(&mut next, frame);
         let image = next.pyramid.finest();
@@ -134,6 +134,11 @@ impl Tracker {
         tracked
     }
 
+    /// The last picture.
+    pub(crate) fn last_picture(&self) -> Option<&Arc<Pyramid>> {
+        self.recent.back().map(|picture| &picture.pyramid)
+    }
+
     /// Tracks all points, and finds translation and blur of the picture.
     fn track_points(&mut self, next: &mut TrackedPicture, frame: usize) -> TrackedFrame {
         let mut tracked = TrackedFrame::default();
@@ -142,7 +147,7 @@ impl Tracker {
         let (translation, correlation) =
             estimate_global_translation(coarse, next.pyramid.coarsest().0);
         next.shift = translation.map(|v| v * scale);
-        let pair = [&last.pyramid, &next.pyramid];
+        let pair = [last.pyramid.as_ref(), next.pyramid.as_ref()];
         let follow = |p: &TrackedPoint| follow_point(p.warp, p.is_followed, pair, next.shift);
         let followed: Vec<FollowedPoint> = self.points.par_iter().map(follow).collect();
         let motion = self.picture_motion(&followed).unwrap_or(next.shift);
@@ -318,7 +323,7 @@ impl Tracker {
         let mut observations = vec![Observation::new(frame, at.map(f64::from), MIN_POSITION_SIGMA)];
         let (mut warp, mut here) = (AffineWarp::translation(at), next);
         for (i, (before, equal)) in self.recent.iter().rev().zip(equal).enumerate() {
-            let pair = [&here.pyramid, &before.pyramid];
+            let pair = [here.pyramid.as_ref(), before.pyramid.as_ref()];
             let followed = follow_point(warp, true, pair, here.shift.map(|v| -v));
             let outcome = search_point(&anchor, warp, &followed, &before.pyramid, equal);
             let Some(observation) = outcome.observation(frame - 1 - i) else { break };

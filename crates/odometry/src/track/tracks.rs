@@ -142,6 +142,20 @@ impl Tracks {
         }
     }
 
+    /// Makes frames keyframes, too, given by their pictures in order.
+    pub(crate) fn with_keyframes<'a>(
+        mut self,
+        images: impl Iterator<Item = &'a Arc<KeyframeImage>>,
+    ) -> Self {
+        let is_new =
+            |image: &&Arc<KeyframeImage>| self.keyframes.binary_search(&image.frame).is_err();
+        let new: Vec<_> = images.filter(is_new).cloned().collect();
+        self.keyframe_images.extend(new);
+        self.keyframe_images.sort_by_key(|image| image.frame);
+        self.keyframes = self.keyframe_images.iter().map(|image| image.frame).collect();
+        self
+    }
+
     /// Makes the last keyframe a frame between keyframes.
     pub(crate) fn drop_last_keyframe(&mut self) {
         self.keyframes.pop();

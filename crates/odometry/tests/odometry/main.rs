@@ -2,6 +2,7 @@
 
 mod dense;
 mod online;
+mod photographs;
 mod progress;
 mod revisits;
 mod scene;

@@ -1,0 +1,253 @@
+//! Photographs: pictures that show one scene from places too far apart for tracking, in any order.
+
+use super::aliked::Features;
+use super::matching::match_features;
+use super::rotation_averaging::{RelativeRotation, average_rotations};
+pub(crate) use super::verification::POSITION_SIGMA;
+use super::verification::{MatchedPair, match_pair};
+use crate::progress::{Progress, Stage};
+use crate::track::pyramid::Pyramid;
+use crate::track::thumbnail::KeyframeImage;
+use crate::track::tracks::{Observation, Track};
+use i2slam_geometry::{Camera, Pose, Vec3};
+use rayon::prelude::*;
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+/// Points that are tracked from a picture to the next one, at least, unless the order is none.
+const MIN_TRACKED_POINTS: usize = 24;
+/// Share of pictures with fewer from which on all of them are photographs.
+const MIN_BREAK_SHARE: f64 = 0.25;
+/// Pictures of which each is compared with every other one; with more of them, each is compared with so
+/// many that have most matches among the features of most contrast (Wu 2013).
+const MAX_EXHAUSTIVE: usize = 40;
+const MAX_CANDIDATES: usize = 20;
+const COMPARED_FEATURES: usize = 300;
+/// Angle between the rotation of a pair and that of the orientations of all, at most, and angle between the
+/// axes of two pictures beyond which they show no surface both [rad].
+const MAX_CONTRADICTION: f64 = 0.6;
+const MAX_AXIS_ANGLE: f64 = 1.4;
+
+/// A picture with its features.
+#[derive(Clone, Debug)]
+struct View {
+    image: Arc<KeyframeImage>,
+    features: Arc<Features>,
+}
+
+/// Two photographs whose features were matched.
+#[derive(Clone, Debug)]
+pub(crate) struct PhotographPair {
+    /// Frames.
+    pub(crate) first: usize,
+    pub(crate) second: usize,
+    /// Matches, as indices of features of both, whether or not they agree on a relative pose.
+    pub(crate) matches: Vec<(usize, usize)>,
+    /// Rotation and direction of the translation, where enough matches agree on one.
+    pub(crate) second_from_first: Option<Pose<f64>>,
+}
+
+/// A feature of a photograph.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct PhotographFeature {
+    pub(crate) observation: Observation,
+    /// Index of the track that it belongs to.
+    pub(crate) track: Option<usize>,
+}
+
+/// Photographs matched with each other.
+#[derive(Clone, Debug)]
+pub(crate) struct MatchedPhotographs {
+    pub(crate) pairs: Vec<PhotographPair>,
+    /// Features of every frame.
+    pub(crate) features: BTreeMap<usize, Vec<PhotographFeature>>,
+    /// Frames whose pose was found to be wrong once.
+    pub(crate) registered_anew: BTreeSet<usize>,
+}
+
+/// The pictures at which tracking broke off, on both sides.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct PhotoCollection {
+    views: BTreeMap<usize, View>,
+    breaks: usize,
+    frames: usize,
+}
+
+impl PhotoCollection {
+    /// Adds the next picture, in which so many points `tracked` from the one before were found.
+    pub(crate) fn add(&mut self, before: Option<&Pyramid>, picture: &Pyramid, tracked: usize) {
+        let frame = self.frames;
+        self.frames += 1;
+        let Some(before) = before.filter(|_| tracked < MIN_TRACKED_POINTS) else { return };
+        self.breaks += 1;
+        for (frame, pyramid) in [(frame - 1, before), (frame, picture)] {
+            self.views.entry(frame).or_insert_with(|| View::new(pyramid, frame));
+        }
+    }
+
+    /// Whether the pictures are photographs rather than frames of a film.
+    pub(crate) fn is_unordered(&self) -> bool {
+        self.breaks as f64 > MIN_BREAK_SHARE * self.frames as f64
+    }
+
+    /// The pictures in small, in order.
+    pub(crate) fn images(&self) -> impl Iterator<Item = &Arc<KeyframeImage>> {
+        self.views.values().map(|view| &view.image)
+    }
+
+    /// Matches the features of all photographs, and verifies them by relative poses; also the points that
+    /// features of at least two show, whose indices begin at `first_track`.
+    pub(crate) fn match_all(
+        &self,
+        camera: &Camera<f64>,
+        first_track: usize,
+        progress: &Progress,
+    ) -> (MatchedPhotographs, Vec<Track>) {
+        let frames: Vec<usize> = self.views.keys().copied().collect();
+        let features: Vec<&Features> = self.views.values().map(|v| v.features.as_ref()).collect();
+        let compared = compared_pairs(&features);
+        progress.report(Stage::Matching, 0, compared.len());
+        let matched = |&(a, b): &(usize, usize)| match progress.is_cancelled() {
+            true => None,
+            false => Some(((a, b), match_pair(camera, [features[a], features[b]]))),
+        };
+        let matched: Vec<((usize, usize), MatchedPair)> =
+            compared.par_iter().filter_map(matched).collect();
+        let matched = without_contradictions(features.len(), matched);
+        let (tracks, track_of) = joined(&frames, &features, &matched);
+        let pair = |((a, b), pair): ((usize, usize), MatchedPair)| PhotographPair {
+            first: frames[a],
+            second: frames[b],
+            matches: pair.distinct.iter().map(|m| (m.first, m.second)).collect(),
+            second_from_first: pair.verified.map(|verified| verified.second_from_first),
+        };
+        let of_view = |(view, features): (usize, &&Features)| {
+            let feature = |(at, track): (&[f64; 2], &Option<usize>)| PhotographFeature {
+                observation: Observation::new(frames[view], *at, POSITION_SIGMA),
+                track: track.map(|track| first_track + track),
+            };
+            let all = features.positions.iter().zip(&track_of[view]).map(feature).collect();
+            (frames[view], all)
+        };
+        let features = features.iter().enumerate().map(of_view).collect();
+        let pairs = matched.into_iter().map(pair).collect();
+        (MatchedPhotographs { pairs, features, registered_anew: BTreeSet::new() }, tracks)
+    }
+}
+
+impl View {
+    fn new(pyramid: &Pyramid, frame: usize) -> Self {
+        Self {
+            image: Arc::new(KeyframeImage::new(pyramid, frame)),
+            features: Arc::new(Features::new(pyramid.finest())),
+        }
+    }
+}
+
+/// Pairs of pictures whose features are matched.
+fn compared_pairs(features: &[&Features]) -> Vec<(usize, usize)> {
+    let all = (0..features.len()).flat_map(|a| (a + 1..features.len()).map(move |b| (a, b)));
+    if features.len() <= MAX_EXHAUSTIVE {
+        return all.collect();
+    }
+    let strongest: Vec<Features> =
+        features.iter().map(|f| f.strongest_of_half_size(COMPARED_FEATURES)).collect();
+    let all: Vec<(usize, usize)> = all.collect();
+    let alike =
+        |&(a, b): &(usize, usize)| match_features(&strongest[a], &strongest[b]).distinct.len();
+    let counts: Vec<usize> = all.par_iter().map(alike).collect();
+    let mut of_view: Vec<Vec<(usize, usize)>> = vec![Vec::new(); features.len()];
+    for (pair, &(a, b)) in all.iter().enumerate() {
+        [a, b].iter().for_each(|view| of_view[*view].push((counts[pair], pair)));
+    }
+    let mut chosen: Vec<usize> = Vec::new();
+    for mut pairs in of_view {
+        pairs.sort_by(|x, y| y.0.cmp(&x.0).then(x.1.cmp(&y.1)));
+        chosen.extend(pairs.iter().take(MAX_CANDIDATES).map(|(_, pair)| *pair));
+    }
+    chosen.sort_unstable();
+    chosen.dedup();
+    chosen.into_iter().map(|pair| all[pair]).collect()
+}
+
+/// The pairs without those that contradict the orientations of all, or that look in opposite directions.
+fn without_contradictions(
+    count: usize,
+    matched: Vec<((usize, usize), MatchedPair)>,
+) -> Vec<((usize, usize), MatchedPair)> {
+    let rotation = |((first, second), pair): &((usize, usize), MatchedPair)| {
+        let verified = pair.verified.as_ref()?;
+        let second_from_first = verified.second_from_first.rotation;
+        let weight = verified.matches.len() as f64;
+        Some(RelativeRotation { first: *first, second: *second, second_from_first, weight })
+    };
+    let rotations: Vec<RelativeRotation> = matched.iter().filter_map(rotation).collect();
+    let found = average_rotations(count, &rotations);
+    let is_possible = |pair: &((usize, usize), MatchedPair)| {
+        let [(part, first), (other, second)] = [found[pair.0.0], found[pair.0.1]];
+        let between = second * first.inverse();
+        let axis = Vec3::new(0.0, 0.0, 1.0);
+        let is_facing = between.rotate(axis).z > MAX_AXIS_ANGLE.cos();
+        let agrees = rotation(pair).is_none_or(|own| {
+            (between.inverse() * own.second_from_first).log().norm() < MAX_CONTRADICTION
+        });
+        part != other || (is_facing && agrees)
+    };
+    let kept: Vec<bool> = matched.iter().map(is_possible).collect();
+    matched.into_iter().zip(kept).filter(|(_, kept)| *kept).map(|(pair, _)| pair).collect()
+}
+
+/// Tracks of the features that verified matches join, where no picture shows two of them, and the track of
+/// every feature.
+fn joined(
+    frames: &[usize],
+    features: &[&Features],
+    matched: &[((usize, usize), MatchedPair)],
+) -> (Vec<Track>, Vec<Vec<Option<usize>>>) {
+    let mut first = vec![0; features.len() + 1];
+    (0..features.len()).for_each(|view| first[view + 1] = first[view] + features[view].len());
+    let mut sets = DisjointSets((0..first[features.len()]).collect());
+    for ((a, b), pair) in matched {
+        for m in pair.verified.iter().flat_map(|verified| &verified.matches) {
+            sets.join(first[*a] + m.first, first[*b] + m.second);
+        }
+    }
+    let mut points: BTreeMap<usize, Vec<(usize, usize)>> = BTreeMap::new();
+    for (view, of_view) in features.iter().enumerate() {
+        for i in 0..of_view.len() {
+            points.entry(sets.root(first[view] + i)).or_default().push((view, i));
+        }
+    }
+    let is_one_point = |shown: &Vec<(usize, usize)>| {
+        shown.len() > 1 && shown.windows(2).all(|pair| pair[0].0 != pair[1].0)
+    };
+    let mut track_of: Vec<Vec<Option<usize>>> =
+        features.iter().map(|of_view| vec![None; of_view.len()]).collect();
+    let mut tracks = Vec::new();
+    for shown in points.into_values().filter(is_one_point) {
+        let observe = |&(view, i): &(usize, usize)| {
+            Observation::new(frames[view], features[view].positions[i], POSITION_SIGMA)
+        };
+        shown.iter().for_each(|&(view, i)| track_of[view][i] = Some(tracks.len()));
+        tracks.push(Track { observations: shown.iter().map(observe).collect() });
+    }
+    (tracks, track_of)
+}
+
+/// Disjoint sets by their parents.
+struct DisjointSets(Vec<usize>);
+
+impl DisjointSets {
+    fn root(&mut self, mut of: usize) -> usize {
+        while self.0[of] != of {
+            self.0[of] = self.0[self.0[of]];
+            of = self.0[of];
+        }
+        of
+    }
+
+    fn join(&mut self, a: usize, b: usize) {
+        let (a, b) = (self.root(a), self.root(b));
+        self.0[a.max(b)] = a.min(b);
+    }
+}

@@ -1,0 +1,159 @@
+//! Geometric verification of the matches of two pictures: the relative pose that most agree on, and
+//! whether so many would by chance.
+
+use super::aliked::Features;
+use super::matching::{FeatureMatch, Matches, match_features};
+use crate::multiview::robust_loss::cauchy;
+use crate::multiview::two_view::{
+    RayPair, orbit_poses, ray_pairs, refine_relative_pose, resolve_cheirality, sampson,
+};
+use i2slam_compute::Random;
+use i2slam_geometry::{Camera, Pose};
+
+/// Deviation of the position of a feature in motion-blurred pictures [px].
+pub(crate) const POSITION_SIGMA: f64 = 2.0;
+/// Hypotheses of RANSAC, and matches of each.
+const HYPOTHESES: usize = 2000;
+const SAMPLE_SIZE: usize = 5;
+/// Steps from one start, and of the final pose.
+const SAMPLE_STEPS: usize = 8;
+const FINAL_STEPS: usize = 15;
+/// Residual of a match that agrees, at most [deviations].
+const MAX_ERROR: f64 = 1.0;
+/// Matches that must agree.
+const MIN_INLIERS: usize = 12;
+/// Natural logarithm of the expected number of as good relative poses among random matches, at most.
+const MAX_LOG_FALSE_ALARMS: f64 = -9.0;
+
+/// The relative pose of two pictures that show the same scene, and the matches that agree on it.
+#[derive(Clone, Debug)]
+pub(super) struct VerifiedPair {
+    /// Rotation and direction of the translation.
+    pub(super) second_from_first: Pose<f64>,
+    pub(super) matches: Vec<FeatureMatch>,
+}
+
+/// Matches of two pictures.
+#[derive(Clone, Debug)]
+pub(super) struct MatchedPair {
+    /// All of them.
+    pub(super) distinct: Vec<FeatureMatch>,
+    /// Those that agree on a relative pose, unless that may be chance.
+    pub(super) verified: Option<VerifiedPair>,
+}
+
+/// Matches the features of two pictures, and verifies them.
+pub(super) fn match_pair(camera: &Camera<f64>, features: [&Features; 2]) -> MatchedPair {
+    let Matches { distinct, second_best } = match_features(features[0], features[1]);
+    let verified = verify(camera, features, (&distinct, &second_best));
+    MatchedPair { distinct, verified }
+}
+
+fn verify(
+    camera: &Camera<f64>,
+    features: [&Features; 2],
+    (matches, second_best): (&[FeatureMatch], &[(usize, usize)]),
+) -> Option<VerifiedPair> {
+    let pose = relative_pose(camera, features, matches)?;
+    let pairs = rays(camera, features, matches);
+    let agreeing = |(_, rays): &(&FeatureMatch, &RayPair)| error(camera, &pose, rays) < MAX_ERROR;
+    let inliers: Vec<FeatureMatch> =
+        matches.iter().zip(&pairs).filter(agreeing).map(|(m, _)| *m).collect();
+    let chance = chance_of_agreement(camera, &pose, features, second_best);
+    if !is_no_chance(matches.len(), inliers.len(), chance) {
+        return None;
+    }
+    let second_from_first = refined_pose(camera, features, pose, &inliers)?;
+    Some(VerifiedPair { second_from_first, matches: inliers })
+}
+
+/// The relative pose of least truncated cost.
+fn relative_pose(
+    camera: &Camera<f64>,
+    features: [&Features; 2],
+    matches: &[FeatureMatch],
+) -> Option<Pose<f64>> {
+    if matches.len() < MIN_INLIERS {
+        return None;
+    }
+    let pairs = rays(camera, features, matches);
+    let mut start = orbit_poses(&pairs);
+    let mut random = Random::new(matches.len() as u64);
+    let mut best: Option<(f64, Pose<f64>)> = None;
+    for hypothesis in 0..HYPOTHESES {
+        // Distinct matches first, all of them in the end (PROSAC; Chum and Matas 2005).
+        let among = matches.len() * (hypothesis + HYPOTHESES / 10) / HYPOTHESES;
+        let among = among.clamp(MIN_INLIERS, matches.len());
+        let sample: Vec<RayPair> = (0..SAMPLE_SIZE).map(|_| pairs[random.below(among)]).collect();
+        let Some(found) = refine_relative_pose(&sample, start(&mut random), SAMPLE_STEPS, |_| 1.0)
+        else {
+            continue;
+        };
+        let off = |rays: &RayPair| error(camera, &found, rays).min(MAX_ERROR).powi(2);
+        let cost: f64 = pairs.iter().map(off).sum();
+        if best.is_none_or(|(least, _)| cost < least) {
+            best = Some((cost, found));
+        }
+    }
+    let pose = best?.1;
+    let is_near = |(_, rays): &(&FeatureMatch, &RayPair)| error(camera, &pose, rays) < MAX_ERROR;
+    let near: Vec<FeatureMatch> =
+        matches.iter().zip(&pairs).filter(is_near).map(|(m, _)| *m).collect();
+    refined_pose(camera, features, pose, &near)
+}
+
+/// The pose of least robust cost over verified matches, from `start` on.
+fn refined_pose(
+    camera: &Camera<f64>,
+    features: [&Features; 2],
+    start: Pose<f64>,
+    matches: &[FeatureMatch],
+) -> Option<Pose<f64>> {
+    let pairs = rays(camera, features, matches);
+    let weight = |r: f64| cauchy(r * camera.fx, POSITION_SIGMA).0;
+    let refined = refine_relative_pose(&pairs, start, FINAL_STEPS, weight)?;
+    Some(resolve_cheirality(camera.fx, &pairs, refined).second_from_first)
+}
+
+fn rays(camera: &Camera<f64>, [first, second]: [&Features; 2], m: &[FeatureMatch]) -> Vec<RayPair> {
+    let positions: Vec<([f64; 2], [f64; 2])> =
+        m.iter().map(|m| (first.positions[m.first], second.positions[m.second])).collect();
+    ray_pairs(camera, &positions)
+}
+
+/// Epipolar distance [deviations]: that of Sampson, which divides by the gradient in both pictures.
+fn error(camera: &Camera<f64>, pose: &Pose<f64>, rays: &RayPair) -> f64 {
+    sampson(pose, rays).abs() * camera.fx / POSITION_SIGMA
+}
+
+/// Share of features that agree with a relative pose though they match something else: what looks alike
+/// agrees more often than random features, as it tends to lie at the same height.
+fn chance_of_agreement(
+    camera: &Camera<f64>,
+    pose: &Pose<f64>,
+    [first, second]: [&Features; 2],
+    second_best: &[(usize, usize)],
+) -> f64 {
+    let positions: Vec<([f64; 2], [f64; 2])> =
+        second_best.iter().map(|(a, b)| (first.positions[*a], second.positions[*b])).collect();
+    let pairs = ray_pairs(camera, &positions);
+    let agreeing = pairs.iter().filter(|rays| error(camera, pose, rays) < MAX_ERROR).count();
+    (agreeing + 1) as f64 / (pairs.len() + 1) as f64
+}
+
+/// Whether the number of matches that agree is beyond what random ones reach (Moisan and Stival 2004):
+/// `(n - 5) C(n, k) C(k, 5) p^(k - 5)` sets of five would be expected to have as many.
+fn is_no_chance(matches: usize, inliers: usize, p: f64) -> bool {
+    if inliers < MIN_INLIERS {
+        return false;
+    }
+    let log_choose = |n: usize, k: usize| -> f64 {
+        (0..k).map(|i| ((n - i) as f64).ln() - ((i + 1) as f64).ln()).sum()
+    };
+    let (n, k) = (matches, inliers);
+    let log = ((n - SAMPLE_SIZE) as f64).ln()
+        + log_choose(n, k)
+        + log_choose(k, SAMPLE_SIZE)
+        + (k - SAMPLE_SIZE) as f64 * p.ln();
+    log < MAX_LOG_FALSE_ALARMS
+}
