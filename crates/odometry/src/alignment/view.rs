@@ -15,7 +15,7 @@ const COARSEST_SIDE: usize = 48;
 /// Spacing of the nodes of the response, the exponent of the sRGB encoding.
 const NODE_SPACING: f64 = 2.2;
 
-/// A picture with depth at several sizes, to be aligned and to be aligned to. Some 50 bytes per
+/// A picture with depth at several sizes, to be aligned and to be aligned to. Some 100 bytes per
 /// pixel.
 pub struct DensePyramid {
     pub(super) camera: Camera<f64>,

@@ -28,9 +28,10 @@ pub(crate) const RECENT_KEYFRAMES: usize = 1;
 /// Share of the frame interval for which the shutter is taken to be open: the difference of the
 /// blur of two pictures is a small correction.
 const OPEN_SHARE: f64 = 0.5;
-/// Frames from which on no more keyframes are added to those whose prepared pictures are kept at
-/// once, some 50 bytes per pixel each.
-const MAX_PART_FRAMES: usize = 12;
+/// Frames that are aligned at once, and keyframes up to which another frame is added to them. Prepared
+/// pictures of those keyframes are kept, and of one frame for each thread.
+const MAX_BATCH_FRAMES: usize = 16;
+const MAX_BATCH_KEYFRAMES: usize = 6;
 
 /// A keyframe and a frame that is aligned to it.
 type Pair = (usize, usize);
@@ -40,12 +41,9 @@ pub(crate) fn add_dense_constraints(state: &mut SfmState) {
     if !state.is_metric() || state.pictures.is_empty() {
         return;
     }
-    state.progress.report(Stage::BundleAdjustment, 0, 0);
     let keyframes: Vec<usize> =
         state.tracks.keyframes.iter().copied().filter(|f| state.poses[*f].is_some()).collect();
-    let parts = parts(pairs(state, &keyframes));
-    let found = parts.iter().flat_map(|part| constraints(state, part)).collect();
-    state.relative_poses = Arc::new(found);
+    state.relative_poses = Arc::new(constraints(state, &pairs(state, &keyframes)));
 }
 
 /// All pairs that are aligned, in order of keyframes.
@@ -65,45 +63,70 @@ fn pairs(state: &SfmState, keyframes: &[usize]) -> Vec<Pair> {
     keyframes.iter().zip(frames).flat_map(of).collect()
 }
 
-/// Runs of pairs whose frames are prepared together.
-fn parts(pairs: Vec<Pair>) -> Vec<Vec<Pair>> {
-    let (mut out, mut frames) = (vec![Vec::new()], BTreeSet::new());
-    for (keyframe, frame) in pairs {
-        let is_full = frames.len() >= MAX_PART_FRAMES && !frames.contains(&keyframe);
-        if is_full || frames.len() >= 2 * MAX_PART_FRAMES {
-            out.push(Vec::new());
-            frames.clear();
+/// Constraints of all pairs, in order. Every frame is prepared once and aligned to all of its
+/// keyframes; keyframes stay prepared from batch to batch.
+fn constraints(state: &SfmState, pairs: &[Pair]) -> Vec<RelativePoseFactor> {
+    let mut views: BTreeMap<usize, Option<PreparedView>> = BTreeMap::new();
+    let mut found: Vec<Option<RelativePoseFactor>> = vec![None; pairs.len()];
+    let batches = batches(pairs);
+    let total = batches.len();
+    for (done, Batch { frames, keyframes }) in batches.into_iter().enumerate() {
+        state.progress.report(Stage::BundleAdjustment, done, total);
+        views.retain(|keyframe, _| keyframes.contains(keyframe));
+        let missing: Vec<usize> =
+            keyframes.into_iter().filter(|keyframe| !views.contains_key(keyframe)).collect();
+        let prepared = missing.into_par_iter().map(|keyframe| (keyframe, prepare(state, keyframe)));
+        views.extend(prepared.collect::<Vec<_>>());
+        let aligned = |(frame, places): &(usize, Vec<usize>)| {
+            let own = if views.contains_key(frame) { None } else { prepare(state, *frame) };
+            let view = views.get(frame).map_or(own.as_ref(), Option::as_ref);
+            let constraint = |place: &usize| {
+                let (keyframe, _) = pairs[*place];
+                let reference = views.get(&keyframe)?.as_ref()?;
+                constraint(state, (keyframe, reference), (*frame, view?))
+            };
+            places.iter().map(|place| (*place, constraint(place))).collect::<Vec<_>>()
+        };
+        let aligned: Vec<_> = frames.par_iter().map(aligned).collect();
+        aligned.into_iter().flatten().for_each(|(place, constraint)| found[place] = constraint);
+    }
+    found.into_iter().flatten().collect()
+}
+
+/// Frames that are aligned at once.
+#[derive(Default)]
+struct Batch {
+    /// Every frame with the places of its pairs.
+    frames: Vec<(usize, Vec<usize>)>,
+    /// Keyframes that they are aligned to.
+    keyframes: BTreeSet<usize>,
+}
+
+/// All pairs, in order of frames.
+fn batches(pairs: &[Pair]) -> Vec<Batch> {
+    let mut places: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+    for (place, (_, frame)) in pairs.iter().enumerate() {
+        places.entry(*frame).or_default().push(place);
+    }
+    let mut out: Vec<Batch> = Vec::new();
+    for (frame, places) in places {
+        let is_full = |batch: &Batch| {
+            batch.frames.len() >= MAX_BATCH_FRAMES || batch.keyframes.len() >= MAX_BATCH_KEYFRAMES
+        };
+        if out.last().is_none_or(is_full) {
+            out.push(Batch::default());
         }
-        frames.extend([keyframe, frame]);
-        let last = out.len() - 1;
-        out[last].push((keyframe, frame));
+        if let Some(batch) = out.last_mut() {
+            batch.keyframes.extend(places.iter().map(|place| pairs[*place].0));
+            batch.frames.push((frame, places));
+        }
     }
     out
 }
 
-/// Constraints of some pairs, in order; every frame among them is prepared once.
-fn constraints(state: &SfmState, pairs: &[Pair]) -> Vec<RelativePoseFactor> {
-    let mut frames: Vec<usize> = pairs.iter().flat_map(|(a, b)| [*a, *b]).collect();
-    frames.sort_unstable();
-    frames.dedup();
-    let views: Vec<Option<PreparedView>> =
-        frames
-            .par_iter()
-            .map(|frame| {
-                if state.progress.is_cancelled() { None } else { PreparedView::new(state, *frame) }
-            })
-            .collect();
-    let view = |frame: usize| views[frames.binary_search(&frame).ok()?].as_ref();
-    let found: Vec<Option<RelativePoseFactor>> = pairs
-        .par_iter()
-        .map(|(reference, frame)| {
-            if state.progress.is_cancelled() {
-                return None;
-            }
-            constraint(state, (*reference, view(*reference)?), (*frame, view(*frame)?))
-        })
-        .collect();
-    found.into_iter().flatten().collect()
+/// A frame prepared for alignment, unless cancelled.
+fn prepare(state: &SfmState, frame: usize) -> Option<PreparedView> {
+    if state.progress.is_cancelled() { None } else { PreparedView::new(state, frame) }
 }
 
 /// Frames between one keyframe and those before and after it, where these came soon, and a few
@@ -288,14 +311,23 @@ mod tests {
     }
 
     #[test]
-    fn pairs_are_prepared_in_order_and_a_few_at_a_time() {
+    fn every_pair_is_aligned_once_beside_a_few_keyframes() {
         let state = walk_and_return();
-        let all = pairs(&state, &state.tracks.keyframes);
-        let parts = parts(all.clone());
-        assert_eq!(parts.concat(), all);
-        for part in parts {
-            let frames: BTreeSet<usize> = part.iter().flat_map(|(a, b)| [*a, *b]).collect();
-            assert!(frames.len() <= 2 * MAX_PART_FRAMES + 1, "{}", frames.len());
+        let pairs = pairs(&state, &state.tracks.keyframes);
+        let batches = batches(&pairs);
+        let frames = batches.iter().flat_map(|batch| &batch.frames);
+        let mut aligned = vec![0; pairs.len()];
+        for (frame, places) in frames.clone() {
+            places.iter().for_each(|place| aligned[*place] += 1);
+            assert!(places.iter().all(|place| pairs[*place].1 == *frame));
+        }
+        assert_eq!(aligned, vec![1; pairs.len()]);
+        assert!(frames.is_sorted_by_key(|(frame, _)| *frame));
+        for Batch { frames, keyframes } in &batches {
+            let places = frames.iter().flat_map(|(_, places)| places);
+            assert!(places.map(|place| pairs[*place].0).all(|k| keyframes.contains(&k)));
+            assert!(frames.len() <= MAX_BATCH_FRAMES);
+            assert!(keyframes.len() < MAX_BATCH_KEYFRAMES + KEYFRAME_REACH, "{keyframes:?}");
         }
     }
 }
