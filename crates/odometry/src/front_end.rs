@@ -205,9 +205,11 @@ impl FrontEnd {
             return Err(OdometryError::StillCamera { motion: 0.0 });
         }
         let adjust_focal = !matches!(self.intrinsics, Intrinsics::Known(_));
-        let Self { intrinsics, picture_checks, photographs, map, scratch, .. } = self;
-        let (online_poses, closes_loops) = (map.poses, map.closes_loops);
-        let online = SfmState { progress: progress.clone(), ..map.state };
+        let Self { intrinsics, tracker, picture_checks, photographs, map, scratch } = self;
+        drop(tracker);
+        let closes_loops = map.closes_loops;
+        let (online, online_poses) = map.into_state_and_poses();
+        let online = SfmState { progress: progress.clone(), ..online };
         let mut state = match photographs.is_unordered() && !online.has_depth() {
             true => photographs_state(online, &photographs, &intrinsics),
             false => initial_state(online, &intrinsics),
@@ -274,23 +276,26 @@ fn register_depth_pictures(state: &mut SfmState, adjust_focal: bool) {
 /// The state that adjustment begins with: the map so far where there is one with depth, or else its
 /// tracks alone, with the observations of places that were known again, without those of large moving
 /// objects; a map that holds some is bent by them.
-fn initial_state(online: SfmState, intrinsics: &Intrinsics) -> SfmState {
+fn initial_state(mut online: SfmState, intrinsics: &Intrinsics) -> SfmState {
+    online.shrink_to_fit();
+    let metric = online.is_metric().then(|| online.clone());
     let mut state = SfmState {
-        timestamps: Arc::clone(&online.timestamps),
-        depth_maps: Arc::clone(&online.depth_maps),
-        pictures: Arc::clone(&online.pictures),
-        progress: online.progress.clone(),
+        timestamps: online.timestamps,
+        depth_maps: online.depth_maps,
+        pictures: online.pictures,
+        progress: online.progress,
         estimates_distortion: matches!(intrinsics, Intrinsics::GuessWithDistortion(_)),
         ..SfmState::new(
             *intrinsics.camera(),
-            online.tracks.clone().without_corrections().with_two_keyframes(),
+            online.tracks.without_corrections().with_two_keyframes(),
         )
     };
     read_depth(&mut state);
     correct_rows(&mut state);
     if leave_out_moving_objects(&mut state) {
+        drop(metric);
         correct_rows(&mut state);
-    } else if online.is_metric() {
+    } else if let Some(online) = metric {
         let tracks = online.tracks.with_two_keyframes();
         state = SfmState { tracks, relative_poses: Arc::default(), ..online };
         if state.readout == 0.0 {

@@ -11,6 +11,7 @@
 //! ```
 
 use crate::bundle::PoseScatter;
+use crate::progress::Stage;
 use crate::sfm_state::SfmState;
 use crate::track::tracks::repeated_frame;
 use i2slam_geometry::{Pose, Vec3};
@@ -68,7 +69,10 @@ pub(crate) fn pose_deviations(
     let mut out = vec![None; state.poses.len()];
     let mut weak: Vec<(usize, f64)> = Vec::new();
     let is_scale_measured = state.is_scale_measured();
-    for (part, inner) in parts(posed.len()) {
+    let parts = parts(posed.len());
+    let total = parts.len();
+    for (done, (part, inner)) in parts.into_iter().enumerate() {
+        state.progress.report(Stage::BundleAdjustment, done, total);
         let frames = &posed[part.clone()];
         let Some(errors) = PoseErrors::new(state, frames) else { continue };
         for place in inner {

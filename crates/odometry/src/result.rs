@@ -194,29 +194,31 @@ pub(crate) fn build_reconstruction(
             warnings.extend(lost_frame_warnings(&state));
         }
     }
-    let focal_deviation = focal_deviation(&state, intrinsics, &mut warnings);
-    if focal_deviation.is_some() && readout != 0.0 {
-        warnings.push(Warning::RollingShutterFocalLength);
-    }
     let distortion = match distortion_dropped {
         true => Some([0.0; 2]),
         false => {
             state.estimates_distortion.then(|| brown_coefficients(&state.camera, state.distortion))
         }
     };
-    warnings.extend(distortion_dropped.then_some(Warning::DistortionUndetermined));
     // Those of photographs are not known: neighbours in time, against which they count, are far away.
-    let (deviations, links) = match state.photographs.is_some() {
+    let is_unordered = state.photographs.is_some();
+    let (deviations, links) = match is_unordered {
         true => (vec![None; state.poses.len()], Vec::new()),
         false => pose_deviations(&state, is_repeat),
     };
+    let (camera, depth_model) = (state.camera, is_metric.then(|| state.depth_model.clone()));
+    let focal_deviation = focal_deviation(state, intrinsics, &mut warnings);
+    if focal_deviation.is_some() && readout != 0.0 {
+        warnings.push(Warning::RollingShutterFocalLength);
+    }
+    warnings.extend(distortion_dropped.then_some(Warning::DistortionUndetermined));
     warnings.extend(links.iter().map(|link| Warning::ScaleUncertain {
         frames: link.frames,
         percent: (100.0 * link.deviation).min(100.0),
     }));
     let found = Reconstruction {
-        camera: state.camera,
-        is_unordered: state.photographs.is_some(),
+        camera,
+        is_unordered,
         distortion,
         focal_deviation,
         rolling_shutter_readout: readout,
@@ -224,7 +226,7 @@ pub(crate) fn build_reconstruction(
         online_poses: Vec::new(),
         deviations,
         timestamps: timestamps.to_vec(),
-        depth_model: is_metric.then_some(state.depth_model),
+        depth_model,
         keyframes,
         warnings,
     };
@@ -279,30 +281,25 @@ fn lost_frame_warnings(state: &SfmState) -> Vec<Warning> {
 
 /// Relative deviation of an estimated focal length; warns of a given one that fits badly.
 fn focal_deviation(
-    state: &SfmState,
+    state: SfmState,
     intrinsics: &Intrinsics,
     warnings: &mut Vec<Warning>,
 ) -> Option<f64> {
+    let camera = state.camera;
     let (released, covariance) = reestimate_intrinsics(state);
     let is_known = matches!(intrinsics, Intrinsics::Known(_));
     let Some(covariance) = covariance else {
-        let undetermined = Warning::FocalLengthUndetermined {
-            focal_length: state.camera.fx,
-            width: state.camera.width,
-        };
+        let undetermined =
+            Warning::FocalLengthUndetermined { focal_length: camera.fx, width: camera.width };
         warnings.extend((!is_known).then_some(undetermined));
         return None;
     };
     let relative = covariance[0][0].sqrt();
     if is_known {
-        let (given, fitting) = (state.camera.fx, released.camera.fx);
+        let (given, fitting) = (camera.fx, released.camera.fx);
         let off = (fitting / given).ln().abs();
         if off > 0.05 && off > 3.0 * relative {
-            warnings.push(Warning::FocalLengthMismatch {
-                given,
-                fitting,
-                width: state.camera.width,
-            });
+            warnings.push(Warning::FocalLengthMismatch { given, fitting, width: camera.width });
         }
         return None;
     }
@@ -481,7 +478,7 @@ mod tests {
         state.poses = vec![Some(Pose::identity()); 2];
         let warned = |intrinsics: Intrinsics| {
             let mut warnings = Vec::new();
-            assert_eq!(focal_deviation(&state, &intrinsics, &mut warnings), None);
+            assert_eq!(focal_deviation(state.clone(), &intrinsics, &mut warnings), None);
             warnings
         };
         assert_eq!(warned(Intrinsics::Known(camera)), []);

@@ -158,6 +158,12 @@ impl SfmState {
         }
     }
 
+    /// Frees the room that tracks keep for more observations.
+    pub(crate) fn shrink_to_fit(&mut self) {
+        self.tracks.tracks.iter_mut().for_each(|track| track.observations.shrink_to_fit());
+        Arc::make_mut(&mut self.by_frame).iter_mut().for_each(Vec::shrink_to_fit);
+    }
+
     /// Whether any frame has measured depth.
     pub(crate) fn has_depth(&self) -> bool {
         self.depth_maps.iter().any(Option::is_some)

@@ -13,17 +13,18 @@ const MAX_FOCAL_DEVIATION: f64 = 0.005;
 const MAX_DEVIATION_RATIO: f64 = 1.5;
 
 /// Adjusts the first [`MAX_JOINT_POSES`] keyframes with free intrinsics; also their covariance.
-pub(crate) fn reestimate_intrinsics(state: &SfmState) -> (SfmState, Option<IntrinsicsCovariance>) {
+pub(crate) fn reestimate_intrinsics(
+    mut state: SfmState,
+) -> (SfmState, Option<IntrinsicsCovariance>) {
     let keyframes = state.tracks.keyframes.iter().copied();
     let posed = keyframes.filter(|f| state.poses[*f].is_some());
     let keyframes: Vec<usize> = posed.take(MAX_JOINT_POSES).collect();
-    let mut reestimated = state.clone();
-    reestimated.progress = state.progress.without_listener();
-    reestimated.poses.fill(None);
-    keyframes.iter().for_each(|f| reestimated.poses[*f] = state.poses[*f]);
-    adjust_globally(&mut reestimated, true);
-    let covariance = reestimated.bundle(&keyframes, true).0.camera_covariance();
-    (reestimated, covariance)
+    let mut poses = vec![None; state.poses.len()];
+    keyframes.iter().for_each(|f| poses[*f] = state.poses[*f]);
+    (state.poses, state.progress) = (poses, state.progress.without_listener());
+    adjust_globally(&mut state, true);
+    let covariance = state.bundle(&keyframes, true).0.camera_covariance();
+    (state, covariance)
 }
 
 /// Drops a distortion that is not significant or leaves the focal length far less certain (a camera
@@ -37,8 +38,8 @@ pub(crate) fn drop_unobservable_distortion(state: &mut SfmState) -> bool {
     without.estimates_distortion = false;
     without.update_distortion(state.distortion.map(|v| -v));
     adjust_path(&mut without, true);
-    let (reestimated, with_distortion) = reestimate_intrinsics(state);
-    let (_, without_distortion) = reestimate_intrinsics(&without);
+    let (reestimated, with_distortion) = reestimate_intrinsics(state.clone());
+    let (_, without_distortion) = reestimate_intrinsics(without.clone());
     let is_observable = state.readout == 0.0
         && with_distortion.is_some_and(|with_distortion| {
             is_significant(reestimated.distortion, &with_distortion)
@@ -95,7 +96,7 @@ mod tests {
     /// The camera of a long sequence is estimated from the first keyframes alone.
     #[test]
     fn a_long_sequence_takes_no_more_room_than_its_first_keyframes() {
-        let (reestimated, covariance) = reestimate_intrinsics(&winding(MAX_JOINT_POSES + 60));
+        let (reestimated, covariance) = reestimate_intrinsics(winding(MAX_JOINT_POSES + 60));
         assert_eq!(reestimated.posed_frames(), (0..MAX_JOINT_POSES).collect::<Vec<_>>());
         let (error, deviation) =
             ((reestimated.camera.fx / 250.0).ln(), covariance.expect("determined")[0][0].sqrt());

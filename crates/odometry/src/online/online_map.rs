@@ -100,6 +100,11 @@ impl OnlineMap {
         }
     }
 
+    /// The map, and the pose of every frame as it was known when the frame came.
+    pub(crate) fn into_state_and_poses(self) -> (SfmState, Vec<Option<Pose<f64>>>) {
+        (self.state, self.poses)
+    }
+
     /// Adds the last frame of the tracker, whose timestamp, depth and picture the state has already.
     pub(crate) fn add_frame(
         &mut self,

@@ -313,11 +313,11 @@ mod tests {
         let found = ((rolling.camera.fx / 250.0).ln(), rolling.readout - 0.6);
         assert!(found.0.abs() < 0.01 && found.1.abs() < 0.08, "{found:?}");
         // The covariance leaves the readout free.
-        let (_, covariance) = reestimate_intrinsics(&rolling);
+        let (_, covariance) = reestimate_intrinsics(rolling.clone());
         let covariance = covariance.expect("determined");
         assert!(covariance[1][1] > 0.0 && covariance[0][1] != 0.0);
         rolling.estimates_readout = false;
-        let (_, alone) = reestimate_intrinsics(&rolling);
+        let (_, alone) = reestimate_intrinsics(rolling);
         let alone = alone.expect("determined");
         assert!(alone[0][0] < covariance[0][0], "{} {}", alone[0][0], covariance[0][0]);
     }

@@ -18,6 +18,8 @@ const FRAME_GAPS: [usize; 3] = [2, 4, 8];
 const STEP: usize = 2;
 /// Ratio of a track's pairs in which it deviates from which on it may be of an object.
 const MIN_DEVIATING_RATIO: f64 = 0.4;
+/// Frames, or pairs of them, whose points are counted together.
+const FRAMES_AT_ONCE: usize = 256;
 /// Nearest points that decide about one: outliers are scattered, objects are not.
 const NEIGHBOURS: usize = 5;
 /// Blocks of a picture, across and down, of which each is as its nearest point.
@@ -76,9 +78,12 @@ fn deviating_tracks(state: &SfmState, observed: &[usize]) -> Vec<Option<bool>> {
         tracks.into_iter().zip(deviating).filter_map(|(track, d)| Some((track, d?))).collect()
     };
     let mut counts = vec![[0_u32; 2]; state.tracks.tracks.len()];
-    for (track, deviates) in pairs.par_iter().map(votes).collect::<Vec<_>>().into_iter().flatten() {
-        counts[track][0] += 1;
-        counts[track][1] += u32::from(deviates);
+    for part in pairs.chunks(FRAMES_AT_ONCE) {
+        let votes: Vec<Vec<(usize, bool)>> = part.par_iter().map(votes).collect();
+        for (track, deviates) in votes.into_iter().flatten() {
+            counts[track][0] += 1;
+            counts[track][1] += u32::from(deviates);
+        }
     }
     let decided = |[pairs, deviating]: &[u32; 2]| {
         (*pairs > 0).then(|| f64::from(*deviating) > MIN_DEVIATING_RATIO * f64::from(*pairs))
@@ -103,10 +108,12 @@ fn smoothed(state: &SfmState, deviates: &[Option<bool>]) -> Vec<bool> {
         };
         state.observations_in(frame).map(|(track, o)| (track, sum(o.raw()))).collect()
     };
-    let sums: Vec<Vec<(usize, i32)>> =
-        (0..state.tracks.frames).into_par_iter().map(in_frame).collect();
     let mut all = vec![0; deviates.len()];
-    sums.into_iter().flatten().for_each(|(track, sum)| all[track] += sum);
+    let frames: Vec<usize> = (0..state.tracks.frames).collect();
+    for part in frames.chunks(FRAMES_AT_ONCE) {
+        let sums: Vec<Vec<(usize, i32)>> = part.par_iter().copied().map(in_frame).collect();
+        sums.into_iter().flatten().for_each(|(track, sum)| all[track] += sum);
+    }
     all.into_iter().map(|sum| sum > 0).collect()
 }
 

@@ -181,7 +181,10 @@ impl Tracks {
 
     /// Tracks of every frame.
     pub(crate) fn tracks_by_frame(&self) -> Vec<Vec<usize>> {
-        let mut out = vec![Vec::new(); self.frames];
+        let mut counts = vec![0; self.frames];
+        let observations = self.tracks.iter().flat_map(|track| &track.observations);
+        observations.for_each(|o| counts[o.frame] += 1);
+        let mut out: Vec<Vec<usize>> = counts.into_iter().map(Vec::with_capacity).collect();
         for (index, track) in self.tracks.iter().enumerate() {
             track.observations.iter().for_each(|o| out[o.frame].push(index));
         }
