@@ -4,9 +4,10 @@ use crate::console::counted;
 use crate::failure::Failure;
 use crate::live_viewer::LiveViewer;
 use clap::Args;
+use clap::builder::{PathBufValueParser, TypedValueParser};
 use i2slam::dataset::OpenOptions;
 use std::ops::Range;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// Selection, size and camera of the frames.
@@ -27,7 +28,7 @@ pub(crate) struct Input {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(16..=65_535))]
     pub(crate) max_side: Option<u32>,
     /// Camera file to use instead of the folder's camera.json
-    #[arg(long, value_name = "FILE.json")]
+    #[arg(long, value_name = "FILE.json", value_parser = existing_path())]
     pub(crate) camera: Option<PathBuf>,
     /// Camera: a file (camera.json, transforms.json, COLMAP's cameras.txt, a line `fx fy cx cy`),
     /// or four numbers FX FY CX CY without distortion [px], pixel centres at integers
@@ -127,6 +128,14 @@ impl Machine {
     }
 }
 
+/// Parses the path of an input, which is there.
+pub(crate) fn existing_path() -> impl TypedValueParser<Value = PathBuf> {
+    PathBufValueParser::new().try_map(|path| match path.exists() {
+        true => Ok(path),
+        false => Err("no such file or folder"),
+    })
+}
+
 /// Parses `--intrinsics`: a file, or four numbers.
 fn parse_intrinsics(words: &[String]) -> Result<(Option<PathBuf>, Option<[f64; 4]>), Failure> {
     let refuse = |why: &str| {
@@ -141,7 +150,8 @@ fn parse_intrinsics(words: &[String]) -> Result<(Option<PathBuf>, Option<[f64; 4
             Ok(four) => Ok((None, Some(four))),
             Err(_) => Err(refuse("not four numbers")),
         },
-        ([file], None) => Ok((Some(file.into()), None)),
+        ([file], None) if Path::new(file).exists() => Ok((Some(file.into()), None)),
+        ([_], None) => Err(refuse("no such file")),
         _ => Err(refuse("not a file and not four numbers (the sequence stands before the flags)")),
     }
 }
@@ -165,8 +175,8 @@ mod tests {
             parse_intrinsics(&words)
         };
         assert!(matches!(of("500 501 -3.5 240"), Ok((None, Some([500.0, 501.0, -3.5, 240.0])))));
-        assert!(matches!(of("cam.json"), Ok((Some(file), None)) if file.ends_with("cam.json")));
-        for wrong in ["500", "500 501 320", "cam.json video.mp4", "1 2 3 x"] {
+        assert!(matches!(of("Cargo.toml"), Ok((Some(file), None)) if file.ends_with("Cargo.toml")));
+        for wrong in ["500", "500 501 320", "cam.json", "cam.json video.mp4", "1 2 3 x"] {
             assert!(matches!(of(wrong), Err(Failure::Usage(_))), "{wrong}");
         }
     }

@@ -57,6 +57,9 @@ impl From<DatasetError> for Failure {
                 Some(flag) => Self::Usage(format!("{flag}: {reason}")),
                 None => Self::Usage(error.to_string()),
             },
+            DatasetError::MissingFolder { .. }
+            | DatasetError::UnknownLayout { .. }
+            | DatasetError::UnknownImport { .. } => Self::Usage(error.to_string()),
             _ => Self::Failed(error.to_string()),
         }
     }

@@ -7,16 +7,16 @@ use std::path::Path;
 pub(crate) fn refuse_non_results(result: &Path) -> Result<(), Failure> {
     let shown = result.display();
     if result.is_file() {
-        return Err(Failure::Failed(format!(
+        return Err(Failure::Usage(format!(
             "{shown}: a file, where the result's folder is expected"
         )));
     }
     if !result.is_dir() {
-        return Err(Failure::Failed(format!("{shown}: no such folder")));
+        return Err(Failure::Usage(format!("{shown}: no such folder")));
     }
     match is_result(result) {
         true => Ok(()),
-        false => Err(Failure::Failed(format!(
+        false => Err(Failure::Usage(format!(
             "{shown}: no result of a run, which has config.toml and map.i2slam"
         ))),
     }

@@ -1,6 +1,6 @@
 //! `i2slam render`: renders a saved result from its own poses or from others.
 
-use crate::arguments::frame_range;
+use crate::arguments::{existing_path, frame_range};
 use crate::console::{counted, print, print_status};
 use crate::failure::Failure;
 use crate::interrupt;
@@ -32,7 +32,7 @@ pub(crate) struct Render {
     )]
     pub(crate) pose: Option<String>,
     /// Poses of your own, a file in the TUM format, exposed as along the way at these times
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", value_parser = existing_path())]
     pub(crate) poses: Option<PathBuf>,
     /// Kinds: sharp, blurred, hdr, depth, opacity [default: all that apply]
     #[arg(long, value_name = "KINDS", value_delimiter = ',')]

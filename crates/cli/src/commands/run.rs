@@ -1,6 +1,6 @@
 //! `i2slam run`: reconstructs a sequence into a result folder.
 
-use crate::arguments::{Input, Live, Machine, Rerun};
+use crate::arguments::{Input, Live, Machine, Rerun, existing_path};
 use crate::console::print_status;
 use crate::failure::Failure;
 use crate::held_out_frames::{HoldOut, parse_hold_out};
@@ -37,7 +37,7 @@ pub(crate) struct Run {
     )]
     pub(crate) preset: Option<String>,
     /// TOML file whose values replace those of the preset
-    #[arg(long, value_name = "FILE.toml")]
+    #[arg(long, value_name = "FILE.toml", value_parser = existing_path())]
     pub(crate) config: Option<PathBuf>,
     #[command(flatten)]
     pub(crate) input: Input,

@@ -38,7 +38,7 @@ fn pipes_in_place_of_files_are_refused_by_every_command() {
     refused(i2slam!("run", room.data, "--out", new), 1, "rgb.txt");
     refused(i2slam!("degrade", room.data, "--out", new, "--drop", "0.2"), 1, "rgb.txt");
     pipe(room.out.join("map.i2slam"));
-    i2slam!("render", room.out).exits_with(1);
+    i2slam!("render", room.out).exits_with(2);
 }
 
 /// Colour pictures of a folder, in order.

@@ -36,8 +36,8 @@ fn a_saved_result_and_poses_of_ones_own_are_drawn() {
     let far = ["--pose", "100 0 0 0 0 0 1", "--kinds", "sharp"];
     i2slam!("render", out; far).exits_with(0).stderr_contains("nothing from 1 of 1 poses");
     let nowhere = room.scratch.join("nowhere");
-    i2slam!("render", nowhere).exits_with(1).stderr_contains("no such folder");
-    i2slam!("render", room.data).exits_with(1).stderr_contains("no result of a run");
+    i2slam!("render", nowhere).exits_with(2).stderr_contains("no such folder");
+    i2slam!("render", room.data).exits_with(2).stderr_contains("no result of a run");
 }
 
 #[test]
@@ -118,6 +118,34 @@ fn a_result_is_no_sequence_and_a_preset_may_be_misspelt() {
     i2slam!("info", room.out).exits_with(2).stderr_contains("is a result of `i2slam run`");
     let misspelt = run(["run", "nowhere", "--preset", "defualt"]).exits_with(2);
     misspelt.stderr_contains("a similar value exists: 'default'");
+}
+
+/// What names no input is a wrong argument, of whichever flag.
+#[test]
+fn an_input_that_is_not_there_is_a_wrong_argument() {
+    let scratch = TemporaryFolder::new("not-there");
+    let (data, out) = (scratch.join("room"), scratch.join("out"));
+    Scene { frames: 2, ..Scene::default() }.write(&data);
+    for flags in [
+        &["--camera", "no.json"][..],
+        &["--intrinsics", "no.json"],
+        &["--config", "no.toml"],
+        &["--hold-out", "no.txt"],
+    ] {
+        let ran = i2slam!("run", data, "--out", out; flags).exits_with(2);
+        ran.stderr_contains(flags[flags.len() - 2]).stderr_contains(flags[flags.len() - 1]);
+        assert!(!out.exists());
+    }
+    let keyframes =
+        i2slam!("run", data, "--out", out, "--rgb", "--keyframes", "nowhere").exits_with(2);
+    keyframes.stderr_contains("nowhere holds no keyframes");
+    for command in ["run", "info", "eval", "render"] {
+        i2slam!(command, "nowhere").exits_with(2).stderr_contains("nowhere");
+    }
+    for flag in ["--groundtruth", "--reference"] {
+        i2slam!("eval", data, flag, "nowhere").exits_with(2).stderr_contains(flag);
+    }
+    i2slam!("render", data, "--poses", "nowhere").exits_with(2).stderr_contains("--poses");
 }
 
 #[test]

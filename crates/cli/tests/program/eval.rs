@@ -152,7 +152,7 @@ fn bare_trajectories_are_compared() {
     fs::write(&theirs, "0 1 2 3 0 0 0 1\n1 1 nan 3 0 0 0 1\n").expect("room");
     refused("theirs.txt, line 2");
     fs::remove_file(&theirs).expect("a file");
-    refused("theirs.txt");
+    compare(&[]).exits_with(2).stderr_contains("theirs.txt");
 }
 
 #[test]

@@ -133,18 +133,18 @@ fn what_is_no_result_is_told_apart() {
     let scratch = TemporaryFolder::new("no-result");
     let (nowhere, folder, data) =
         (scratch.join("nowhere"), scratch.join("folder"), scratch.join("room"));
-    i2slam!("eval", nowhere).exits_with(1).stderr_contains("no such file or folder");
+    i2slam!("eval", nowhere).exits_with(2).stderr_contains("no such file or folder");
     let list = i2slam!("eval", nowhere, "--write-list", scratch.join("list.txt"));
-    list.exits_with(1).stderr_contains("no such folder");
+    list.exits_with(2).stderr_contains("no such folder");
     fs::create_dir(&folder).expect("a folder");
-    let refused = |text: &str| i2slam!("eval", folder).exits_with(1).stderr_contains(text);
+    let refused = |text: &str| i2slam!("eval", folder).exits_with(2).stderr_contains(text);
     refused("the folder is empty");
     fs::write(folder.join("notes.txt"), "mine").expect("room");
     refused("neither trajectory.txt nor pictures");
     fs::write(folder.join("frames.csv"), "index\n").expect("room");
     refused("without its trajectory.txt");
     frames(2).write(&data);
-    let dataset = i2slam!("eval", data).exits_with(1);
+    let dataset = i2slam!("eval", data).exits_with(2);
     dataset.stderr_contains("a dataset, and no result").stderr_contains("i2slam run");
 }
 

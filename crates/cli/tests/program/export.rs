@@ -183,7 +183,7 @@ fn what_cannot_be_exported_is_told() {
         "--out",
         room.scratch.join("a")
     )
-    .exits_with(1)
+    .exits_with(2)
     .stderr_contains("a file, where");
     let constant = ["--format", "ply", "--constant-exposure"];
     refused(&constant, "--constant-exposure is for --format video");
@@ -192,7 +192,7 @@ fn what_cannot_be_exported_is_told() {
     refused(&["--format", "ply", "--up", "down"], "expected `estimate`");
     let out = room.scratch.join("a.ply");
     i2slam!("export", room.data, "--format", "ply", "--out", out)
-        .exits_with(1)
+        .exits_with(2)
         .stderr_contains("no result of a run");
     assert!(!out.exists());
 }

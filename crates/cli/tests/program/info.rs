@@ -71,13 +71,13 @@ fn json_has_the_numbers() {
 fn an_unknown_folder_is_answered_with_the_layouts() {
     let scratch = TemporaryFolder::new("info-unknown");
     fs::write(scratch.join("notes.md"), "").expect("room");
-    let err = i2slam!("info", scratch.0).exits_with(1).err;
+    let err = i2slam!("info", scratch.0).exits_with(2).err;
     for word in
         ["no RGB-D sequence", "notes.md", "TUM RGB-D", ".sens", "transforms.json", "Replica"]
     {
         assert!(err.contains(word), "{word} is not in: {err}");
     }
-    let err = i2slam!("info", scratch.join("none")).exits_with(1).err;
+    let err = i2slam!("info", scratch.join("none")).exits_with(2).err;
     assert!(err.contains("no file or folder"), "{err}");
 }
 

@@ -37,7 +37,7 @@ fn a_folder_without_a_sequence_is_named_and_nothing_is_written() {
     let scratch = TemporaryFolder::new("missing");
     fs::create_dir(scratch.join("empty")).expect("a folder");
     for (folder, text) in [("nowhere", "nowhere"), ("empty", "rgb.txt")] {
-        let ran = reconstruct(&scratch.join(folder), &scratch.join("out"), &[]).exits_with(1);
+        let ran = reconstruct(&scratch.join(folder), &scratch.join("out"), &[]).exits_with(2);
         ran.stderr_contains(text);
         assert!(!scratch.join("out").exists());
     }

@@ -239,7 +239,7 @@ fn what_cannot_be_meant_is_refused() {
     refused(&["--preset", "paper-tum"], "an input without depth) goes with default-rgb");
     footage
         .run(&footage.scratch.join("none.mp4"), &[])
-        .exits_with(1)
+        .exits_with(2)
         .stderr_contains("no file or folder");
     let file = footage.scratch.join("camera.txt");
     fs::write(&file, "500 500\n").expect("room");

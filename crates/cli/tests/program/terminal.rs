@@ -21,11 +21,11 @@ fn assert_harmless(text: &str) {
 fn names_of_files_are_escaped() {
     let scratch = TemporaryFolder::new("terminal");
     let folder = scratch.join(NAME);
-    assert_harmless(&i2slam!("info", folder).exits_with(1).err);
+    assert_harmless(&i2slam!("info", folder).exits_with(2).err);
     fs::create_dir(&folder).expect("a folder");
     fs::write(folder.join("notes.md"), "").expect("room");
     // A message of several lines.
-    let message = i2slam!("info", folder).exits_with(1).err;
+    let message = i2slam!("info", folder).exits_with(2).err;
     assert_harmless(&message);
     assert!(message.contains("\n  TUM RGB-D"), "{message}");
     fs::write(folder.join("settings.toml"), "\"k\u{9b}31m\" = 1\n").expect("room");

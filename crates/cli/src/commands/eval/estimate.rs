@@ -32,7 +32,7 @@ pub(super) struct RunFrame {
 impl Estimate {
     pub(super) fn open(path: &Path) -> Result<Self, Failure> {
         if !path.exists() {
-            return Err(failed(path, "no such file or folder"));
+            return Err(unsuitable(path, "no such file or folder"));
         }
         if !path.is_dir() {
             return Ok(Self::Trajectory(path.to_owned()));
@@ -45,7 +45,7 @@ impl Estimate {
                 return Ok(Self::Pictures(path.to_owned()));
             }
         }
-        Err(failed(path, unsuitable(path)))
+        Err(unsuitable(path, &difference_from_estimate(path)))
     }
 
     pub(super) fn trajectory(&self) -> Option<PathBuf> {
@@ -99,8 +99,13 @@ impl Estimate {
     }
 }
 
+/// Refusal of a path that names no estimate.
+fn unsuitable(path: &Path, reason: &str) -> Failure {
+    Failure::Usage(format!("{}: {reason}", path.display()))
+}
+
 /// Reason why a folder cannot be evaluated.
-fn unsuitable(path: &Path) -> String {
+fn difference_from_estimate(path: &Path) -> String {
     let shown = path.display();
     if path.read_dir().is_ok_and(|mut entries| entries.next().is_none()) {
         return "the folder is empty: a result folder, a trajectory or pictures are evaluated"

@@ -245,7 +245,7 @@ const CHECKSUM: &str = "# CRC-32 of the lines above: ";
 pub(super) fn write_list(video: &Path, file: &Path, overwrite: bool) -> Result<(), Failure> {
     if !video.is_dir() {
         let reason = if video.exists() { "is no folder" } else { "no such folder" };
-        return Err(failed(video, reason));
+        return Err(Failure::Usage(format!("{}: {reason}", video.display())));
     }
     refuse_to_replace(file, overwrite)?;
     let files = picture_files(video, "png")?;

@@ -10,6 +10,7 @@ mod reference;
 mod tones;
 mod trajectory;
 
+use crate::arguments::existing_path;
 use crate::console::{print, print_status};
 use crate::failure::{Failure, print_json};
 use crate::messages::note_saved_parts;
@@ -26,12 +27,12 @@ pub(crate) struct Eval {
     /// Result folder of a run, a trajectory in the TUM format, or a folder of pictures
     pub(crate) estimate: PathBuf,
     /// True trajectory in the TUM format [default: that of the dataset]
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", value_parser = existing_path())]
     pub(crate) groundtruth: Option<PathBuf>,
     /// True pictures: a folder of NNNNNN.png (or .exr) named as the renders, or the dataset of the
     /// run (its sharp/ if there is one, else the pictures taken) [default: the dataset that the
     /// result names]
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", value_parser = existing_path())]
     pub(crate) reference: Option<PathBuf>,
     /// Which frames are compared, and by which metrics
     #[arg(long, value_enum, default_value_t = Protocol::AllFrames, value_name = "NAME")]

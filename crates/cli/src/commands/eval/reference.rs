@@ -31,9 +31,6 @@ pub(super) struct TrueFrame {
 impl Reference {
     /// Opens a dataset, with the settings of the run, or a folder of pictures.
     pub(super) fn open(path: &Path, estimate: &Estimate) -> Result<Self, Failure> {
-        if !path.exists() {
-            return Err(failed(path, "no such file or folder"));
-        }
         if !path.is_dir() {
             return Self::dataset(path, estimate);
         }
