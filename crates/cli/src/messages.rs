@@ -1,6 +1,7 @@
 //! Sentences about a run on the terminal: its input, camera, duration and result.
 
 use crate::console::{counted, print_status};
+use i2slam::Reconstruction;
 use i2slam::dataset::{Layout, Sequence};
 use i2slam::run::{CameraEstimate, RuntimeForecast, odometry_size};
 use i2slam_result::{Metrics, UnitOfLength};
@@ -16,6 +17,16 @@ const MIN_FORECAST: f64 = 60.0;
 pub(super) fn note_saved_parts(parts: &[PathBuf]) {
     for part in parts {
         print_status(&format!("note: what a run that died had found is in {}", part.display()));
+    }
+}
+
+/// Tells where poses are from, if the result's path was edited after the run.
+pub(super) fn note_edited_trajectory(result: &Path, reconstruction: &Reconstruction) {
+    if i2slam_result::is_trajectory_edited(result, reconstruction) {
+        print_status(&format!(
+            "note: {} is not as the run wrote it; poses are those of trajectory_shutter.txt",
+            result.join("trajectory.txt").display()
+        ));
     }
 }
 

@@ -133,6 +133,22 @@ pub fn load(folder: &Path) -> Result<Reconstruction, ResultError> {
     })
 }
 
+/// Whether the `trajectory.txt` of a folder has other poses than its reconstruction, which is loaded from
+/// `trajectory_shutter.txt`; a folder without the file has no others.
+pub fn is_trajectory_edited(folder: &Path, reconstruction: &Reconstruction) -> bool {
+    let path = folder.join("trajectory.txt");
+    let written = reconstruction.trajectory();
+    let is_same = |(a, b): (&StampedPose, &StampedPose)| {
+        let off = a.world_from_camera.local(b.world_from_camera);
+        (a.timestamp - b.timestamp).abs() < MAX_ROUNDING
+            && off.translation.norm().max(off.rotation.norm()) < MAX_ROUNDING
+    };
+    path.is_file()
+        && read_trajectory(&path).map_or(true, |read| {
+            read.len() != written.len() || !read.iter().zip(&written).all(is_same)
+        })
+}
+
 /// Reads `state.json`.
 fn state(path: &Path) -> Result<State, ResultError> {
     let state: State = read_json(path)?;
@@ -145,6 +161,9 @@ fn state(path: &Path) -> Result<State, ResultError> {
     }
     Ok(state)
 }
+
+/// Largest change of a time or pose by the decimals of `trajectory.txt`.
+const MAX_ROUNDING: f64 = 2e-6;
 
 /// Largest map [bytes]: 100 million Gaussians of 56 bytes.
 const MAX_MAP: u64 = 6 << 30;

@@ -18,7 +18,9 @@ mod tests;
 mod viewer;
 
 pub use error::ResultError;
-pub use folder::{NAMES, load, remove_renders, save, save_metrics, save_trajectory};
+pub use folder::{
+    NAMES, is_trajectory_edited, load, remove_renders, save, save_metrics, save_trajectory,
+};
 pub use input::RunInput;
 pub use metrics::{Metrics, UnitOfLength};
 pub use pictures::{

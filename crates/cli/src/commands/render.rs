@@ -4,7 +4,7 @@ use crate::arguments::{existing_path, frame_range};
 use crate::console::{counted, print, print_status};
 use crate::failure::Failure;
 use crate::interrupt;
-use crate::messages::{note_displaced, note_saved_parts};
+use crate::messages::{note_displaced, note_edited_trajectory, note_saved_parts};
 use crate::progress::Progress;
 use crate::result_folder::refuse_non_results;
 use clap::Args;
@@ -55,6 +55,7 @@ pub(crate) fn render(arguments: &Render) -> Result<(), Failure> {
     // Locked before it is read, so that no other command replaces it meanwhile.
     let mut pictures = Pictures::open(arguments, own_poses)?;
     let reconstruction = i2slam_result::load(&arguments.result)?;
+    note_edited_trajectory(&arguments.result, &reconstruction);
     let mut frames = pictures.numbered(frames(arguments, pose, &reconstruction)?);
     interrupt::listen();
     let progress = Progress::new(frames.len(), false);

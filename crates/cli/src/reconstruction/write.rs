@@ -184,7 +184,7 @@ impl Measurements {
         metrics.peak_memory_bytes = peak_memory();
         if let Some(camera) = &outcome.camera {
             let estimated = camera.is_focal_length_estimated;
-            metrics.camera_source = Some(camera.source_of_focal_length());
+            metrics.camera_source = Some(absolute_source(camera.source_of_focal_length()));
             metrics.focal_length_assumed_px = estimated.then_some(camera.assumed_focal_length);
             metrics.focal_length_deviation = camera.focal_length_deviation;
             metrics.lens_distortion = camera.lens.map(|lens| lens.distortion);
@@ -246,6 +246,13 @@ impl Measurements {
     }
 }
 
+/// Source of a camera with an absolute path, where it is a file.
+fn absolute_source(source: String) -> String {
+    let path = Path::new(&source);
+    let absolute = path.is_file().then(|| std::path::absolute(path).ok()).flatten();
+    absolute.map_or(source, |path| path.display().to_string())
+}
+
 /// Peak resident memory of the process [bytes]; Linux only.
 fn peak_memory() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
@@ -269,4 +276,16 @@ fn is_sound(metrics: &Metrics) -> bool {
 
 fn saved_metrics(folder: &Path) -> Option<Metrics> {
     serde_json::from_str(&i2slam_storage::read_text(&folder.join("metrics.json")).ok()?).ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_that_gave_the_camera_is_told_with_its_absolute_path() {
+        let file = absolute_source("Cargo.toml".to_owned());
+        assert!(Path::new(&file).is_absolute() && file.ends_with("Cargo.toml"), "{file}");
+        assert_eq!(absolute_source("the given intrinsics".to_owned()), "the given intrinsics");
+    }
 }

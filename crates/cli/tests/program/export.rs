@@ -197,6 +197,48 @@ fn what_cannot_be_exported_is_told() {
     assert!(!out.exists());
 }
 
+/// Sizes and counts beyond what the scene has: what would do is said.
+#[test]
+fn a_size_beyond_the_scene_is_told_with_one_that_fits() {
+    let room = reconstructed("beyond");
+    let out = room.scratch.join("mesh.ply");
+    let refused = |flags: &[&str]| {
+        let ran =
+            i2slam!("export", room.out, "--format", "mesh", "--out", out; flags).exits_with(1);
+        assert!(!out.exists());
+        ran
+    };
+    let size = refused(&["--voxel", "500"]);
+    size.stderr_contains("voxels of 500 are too large")
+        .stderr_contains("choose smaller ones as in --voxel 0.0");
+    let views = refused(&["--min-views", "99"]);
+    views
+        .stderr_contains("--min-views 99: expected 1 to 4")
+        .stderr_contains("4 frames with a pose");
+}
+
+#[test]
+fn poses_are_those_of_the_run_though_its_path_was_edited() {
+    let room = reconstructed("edited");
+    let note = "trajectory_shutter.txt";
+    let path = |name: &str| {
+        let out = room.scratch.join(name);
+        let ran = i2slam!("export", room.out, "--format", "tum", "--out", out).exits_with(0);
+        (ran.err, fs::read_to_string(out).expect("written"))
+    };
+    let (err, before) = path("before.txt");
+    assert!(!err.contains(note), "{err}");
+    let edited = room.text("trajectory.txt").replacen(" 1.000000000\n", " 0.9\n", 1);
+    let edited = edited.replacen("0.000000000", "5.000000000", 1);
+    fs::write(room.out.join("trajectory.txt"), edited).expect("room");
+    let (err, after) = path("after.txt");
+    assert!(err.contains("is not as the run wrote it") && err.contains(note), "{err}");
+    assert_eq!(before, after);
+    i2slam!("render", room.out, "--frames", "0..1").exits_with(0).stderr_contains(note);
+    fs::remove_file(room.out.join("trajectory.txt")).expect("a file");
+    assert!(!path("without.txt").0.contains(note));
+}
+
 #[test]
 fn without_ffmpeg_a_video_says_what_is_needed() {
     let room = reconstructed("no-ffmpeg");

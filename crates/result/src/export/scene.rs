@@ -83,6 +83,15 @@ impl Scene {
                      --crop, --min-opacity and --min-views",
                 ));
             };
+            let most_views = views.iter().max().copied().unwrap_or(0);
+            if (1..selection.min_views).contains(&most_views) {
+                return Err(ExportError::refused(format!(
+                    "--min-views {}: expected 1 to {most_views}, the most of the {} frames with a pose that see \
+                     one Gaussian",
+                    selection.min_views,
+                    frames.len()
+                )));
+            }
             keep(map, |i, mean, opacity| {
                 let inside = |b: CropBox| b.contains(level_from_world.rotate(mean));
                 let is_seen = views.get(i).is_none_or(|views| *views >= selection.min_views);

@@ -9,7 +9,7 @@ pub(crate) use arguments::Export;
 use crate::console::{counted, print, print_status};
 use crate::failure::Failure;
 use crate::interrupt;
-use crate::messages::{note_displaced, note_saved_parts};
+use crate::messages::{note_displaced, note_edited_trajectory, note_saved_parts};
 use crate::progress::Progress;
 use crate::result_folder::refuse_non_results;
 use arguments::{COLMAP, FolderFormat, Format, NERFSTUDIO};
@@ -42,7 +42,9 @@ pub(crate) fn export(arguments: &Export) -> Result<(), Failure> {
     note_saved_parts(&i2slam_storage::recover(&arguments.result));
     refuse_non_results(&arguments.result)?;
     interrupt::listen_for("\nending the export, of which nothing is kept; once more ends at once");
-    let scene = Scene::new(i2slam_result::load(&arguments.result)?, &selection)?;
+    let reconstruction = i2slam_result::load(&arguments.result)?;
+    note_edited_trajectory(&arguments.result, &reconstruction);
+    let scene = Scene::new(reconstruction, &selection)?;
     let progress = Progress::new(scene.frames(), arguments.machine.quiet);
     let watch = Watch {
         progress: &|name, done, total| progress.step(name, done, total),

@@ -67,11 +67,22 @@ pub fn build(
     }
     watch.step("making triangles", 0, 0)?;
     let mesh = clean::without_specks(&extract::surface(&volume));
-    if mesh.triangles.is_empty() { Err(no_surface()) } else { Ok((mesh, voxel)) }
+    if mesh.triangles.is_empty() { Err(without_triangles(scene, voxel)) } else { Ok((mesh, voxel)) }
 }
 
 fn no_surface() -> ExportError {
     ExportError::refused("the map shows no surface from its frames, of which a mesh could be made")
+}
+
+/// Reason why voxels of this edge [m] give no triangle.
+fn without_triangles(scene: &Scene, voxel: f64) -> ExportError {
+    match pixel_at_median_depth(scene) {
+        Some(pixel) if voxel > pixel => ExportError::refused(format!(
+            "voxels of {voxel} are too large for a triangle of what the map shows: choose smaller ones as in \
+             --voxel {pixel:.4}, the size of a pixel at the median depth"
+        )),
+        _ => no_surface(),
+    }
 }
 
 /// What a pixel measures at the median depth of some frames [m].
