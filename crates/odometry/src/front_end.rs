@@ -278,28 +278,31 @@ fn register_depth_pictures(state: &mut SfmState, adjust_focal: bool) {
 /// objects; a map that holds some is bent by them.
 fn initial_state(mut online: SfmState, intrinsics: &Intrinsics) -> SfmState {
     online.shrink_to_fit();
-    let metric = online.is_metric().then(|| online.clone());
+    let is_metric = online.is_metric();
+    let mut tracks = std::mem::take(&mut online.tracks).with_two_keyframes();
+    // Observations are too many to be held twice.
+    let known = if is_metric { tracks.estimates() } else { Vec::new() };
+    tracks.drop_estimates();
     let mut state = SfmState {
-        timestamps: online.timestamps,
-        depth_maps: online.depth_maps,
-        pictures: online.pictures,
-        progress: online.progress,
+        timestamps: Arc::clone(&online.timestamps),
+        depth_maps: Arc::clone(&online.depth_maps),
+        pictures: Arc::clone(&online.pictures),
+        progress: online.progress.clone(),
         estimates_distortion: matches!(intrinsics, Intrinsics::GuessWithDistortion(_)),
-        ..SfmState::new(
-            *intrinsics.camera(),
-            online.tracks.without_corrections().with_two_keyframes(),
-        )
+        ..SfmState::new(*intrinsics.camera(), tracks)
     };
     read_depth(&mut state);
-    correct_rows(&mut state);
+    let by_frame = Arc::clone(&state.by_frame);
+    correct_rows(&mut state, &by_frame);
     if leave_out_moving_objects(&mut state) {
-        drop(metric);
-        correct_rows(&mut state);
-    } else if let Some(online) = metric {
-        let tracks = online.tracks.with_two_keyframes();
+        let by_frame = Arc::clone(&state.by_frame);
+        correct_rows(&mut state, &by_frame);
+    } else if is_metric {
+        let mut tracks = state.tracks;
+        tracks.set_estimates(known);
         state = SfmState { tracks, relative_poses: Arc::default(), ..online };
         if state.readout == 0.0 {
-            correct_rows(&mut state);
+            correct_rows(&mut state, &by_frame);
         }
     }
     state
@@ -313,7 +316,8 @@ fn photographs_state(
     intrinsics: &Intrinsics,
 ) -> SfmState {
     let progress = online.progress.clone();
-    let tracks = online.tracks.without_corrections().with_keyframes(photographs.images());
+    let mut tracks = online.tracks.with_keyframes(photographs.images());
+    tracks.drop_estimates();
     let mut state = SfmState {
         timestamps: online.timestamps,
         estimates_distortion: matches!(intrinsics, Intrinsics::GuessWithDistortion(_)),
@@ -325,12 +329,13 @@ fn photographs_state(
     SfmState { photographs: Some(Arc::new(matched)), progress, ..state }
 }
 
-/// Corrects the rows of all observations for the readout that explains the rotations best.
-fn correct_rows(state: &mut SfmState) {
+/// Corrects the rows of all observations for the readout that explains the rotations best; with the
+/// tracks of every frame, in order.
+fn correct_rows(state: &mut SfmState, by_frame: &[Vec<usize>]) {
     if !state.estimates_distortion {
-        let timestamps = Arc::clone(&state.timestamps);
+        let (tracks, timestamps) = (&mut state.tracks, &state.timestamps);
         state.readout =
-            initialize_readout(&mut state.tracks, &state.camera, &timestamps, &state.progress);
+            initialize_readout((tracks, by_frame), &state.camera, timestamps, &state.progress);
     }
 }
 

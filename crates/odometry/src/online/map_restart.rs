@@ -160,5 +160,7 @@ impl OnlineMap {
 /// Finds the readout that explains the rotations best, and corrects the rows of all observations.
 fn initialize_rows(state: &mut SfmState, timestamps: &[f64]) {
     let (camera, progress) = (state.camera, state.progress.clone());
-    state.readout = initialize_readout(&mut state.tracks, &camera, timestamps, &progress);
+    let by_frame = state.tracks.tracks_by_frame();
+    let tracks = (&mut state.tracks, by_frame.as_slice());
+    state.readout = initialize_readout(tracks, &camera, timestamps, &progress);
 }

@@ -18,21 +18,20 @@ const STEPS_PER_SIDE: i32 = 4;
 const FRAME_GAP: usize = 4;
 
 /// Estimates the readout [frame intervals] from rotation rates and corrects all observations; 0 if
-/// none is clearly better than a global shutter.
+/// none is clearly better than a global shutter. `by_frame` has the tracks of every frame, in order.
 pub(crate) fn initialize_readout(
-    tracks: &mut Tracks,
+    (tracks, by_frame): (&mut Tracks, &[Vec<usize>]),
     camera: &Camera<f64>,
     timestamps: &[f64],
     progress: &Progress,
 ) -> f64 {
     progress.report(Stage::RollingShutter, 0, 0);
-    let by_frame = tracks.tracks_by_frame();
     let Some(times) = whole_intervals(timestamps) else { return 0.0 };
-    let rates = rotation_rates(tracks, &by_frame, camera, &times);
+    let rates = rotation_rates(tracks, by_frame, camera, &times);
     let cost = |readout: f64| -> f64 {
         let one = |f: usize| match progress.is_cancelled() {
             true => 0.0,
-            false => rotation_misfit(tracks, &by_frame, camera, &rates, f, readout).unwrap_or(0.0),
+            false => rotation_misfit(tracks, by_frame, camera, &rates, f, readout).unwrap_or(0.0),
         };
         let all: Vec<f64> =
             (0..tracks.frames.saturating_sub(FRAME_GAP)).into_par_iter().map(one).collect();

@@ -18,6 +18,15 @@ pub(crate) struct Observation {
     pub(crate) is_outlier: bool,
 }
 
+/// Values of an observation that rest on the map so far: correction, reading of depth, and whether its
+/// landmark explains it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct ObservationEstimate {
+    correction: [f32; 2],
+    depth: [f32; 2],
+    is_outlier: bool,
+}
+
 /// An inverse depth measured by a sensor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct DepthReading {
@@ -126,12 +135,37 @@ impl Tracks {
         self
     }
 
-    /// The tracks as they were measured: without corrections, outliers and depth.
-    pub(crate) fn without_corrections(mut self) -> Self {
+    /// Estimates of all observations, in order.
+    pub(crate) fn estimates(&self) -> Vec<ObservationEstimate> {
+        let count = self.tracks.iter().map(|track| track.observations.len()).sum();
+        let mut out = Vec::with_capacity(count);
+        for Observation { correction, depth, is_outlier, .. } in
+            self.tracks.iter().flat_map(|track| &track.observations)
+        {
+            out.push(ObservationEstimate {
+                correction: *correction,
+                depth: *depth,
+                is_outlier: *is_outlier,
+            });
+        }
+        out
+    }
+
+    /// Replaces the estimates of all observations, in order.
+    pub(crate) fn set_estimates(&mut self, estimates: Vec<ObservationEstimate>) {
+        let observations = self.tracks.iter_mut().flat_map(|track| &mut track.observations);
+        for (o, ObservationEstimate { correction, depth, is_outlier }) in
+            observations.zip(estimates)
+        {
+            *o = Observation { correction, depth, is_outlier, ..*o };
+        }
+    }
+
+    /// Leaves the tracks as they were measured.
+    pub(crate) fn drop_estimates(&mut self) {
         for o in self.tracks.iter_mut().flat_map(|track| &mut track.observations) {
             *o = Observation::new(o.frame, o.raw(), o.sigma());
         }
-        self
     }
 
     /// Makes a frame with its picture a keyframe, unless it is the last one already.
@@ -215,6 +249,21 @@ pub(crate) fn shared_positions(
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn estimates_are_dropped_and_set_again() {
+        let at = |frame: usize| [20.0 + frame as f64, 30.0];
+        let mut observation = Observation::new(3, at(3), 0.3).moved_to([24.5, 29.0]);
+        observation = observation.with_depth(Some(DepthReading { inverse: 0.5, sigma: 0.01 }));
+        observation.is_outlier = true;
+        let track = Track { observations: vec![Observation::new(2, at(2), 0.3), observation] };
+        let mut tracks = Tracks { tracks: vec![track], ..Tracks::default() };
+        let estimates = tracks.estimates();
+        tracks.drop_estimates();
+        assert_eq!(tracks.tracks[0].observations, [2, 3].map(|f| Observation::new(f, at(f), 0.3)));
+        tracks.set_estimates(estimates);
+        assert_eq!(tracks.tracks[0].observations[1], observation);
+    }
 
     #[test]
     fn a_repeated_picture_stands_for_the_frame_that_it_repeats() {
