@@ -146,15 +146,15 @@ impl FrontEnd {
         }
         self.picture_checks.add(picture);
         let depth = depth.filter(|depth| self.is_in_time(depth.timestamp - timestamp));
-        let before = self.tracker.last_picture().cloned();
         // Points are followed without the map, and the map grows by pictures that were tracked already.
         let (tracked, is_loop_closed) =
             rayon::join(|| self.tracker.track(picture), || self.map.extend());
-        if let Some(now) = self.tracker.last_picture() {
-            self.photographs.add(before.as_deref(), now, tracked.observed.len());
-        }
         self.map.state.add_input(picture, timestamp, depth, &self.scratch);
         let (frame, is_cut) = (self.map.state.poses.len(), tracked.is_cut);
+        let is_own = !self.picture_checks.is_repeat[frame] && !self.picture_checks.is_blank[frame];
+        if let Some(now) = self.tracker.last_picture().filter(|_| is_own && depth.is_none()) {
+            self.photographs.add(frame, now, tracked.observed.len());
+        }
         let is_repeat = &self.picture_checks.is_repeat;
         let status = self.map.add_frame(&mut self.tracker, tracked, is_repeat);
         let pose = self.map.poses.last().copied().flatten();
@@ -370,7 +370,11 @@ fn build_map(state: &mut SfmState, adjust_focal: bool) -> Result<(), OdometryErr
         initialize(state, 0..state.tracks.keyframes.len())?;
     }
     let mut was_lost = register_and_relocalize(state, adjust_focal);
-    if let Some((other, other_was_lost)) = largest_component(state, adjust_focal) {
+    let other = match state.photographs.is_some() {
+        true => None,
+        false => largest_component(state, adjust_focal),
+    };
+    if let Some((other, other_was_lost)) = other {
         (*state, was_lost) = (other, other_was_lost);
     }
     scale_to_readings(state);
@@ -390,7 +394,8 @@ fn register_and_relocalize(state: &mut SfmState, adjust_focal: bool) -> bool {
     let (mut failed, mut was_lost) = (FailedPairs::default(), false);
     loop {
         register_keyframes(state, adjust_focal, usize::MAX);
-        if !relocalize(state, &mut failed) {
+        // All that matches a photograph was compared already.
+        if state.photographs.is_some() || !relocalize(state, &mut failed) {
             return was_lost;
         }
         was_lost = true;

@@ -61,6 +61,7 @@ mod depth {
 }
 
 mod multiview {
+    pub(crate) mod a_contrario;
     pub(crate) mod landmark;
     pub(crate) mod lens_distortion;
     pub(crate) mod pnp;

@@ -62,6 +62,7 @@ impl Session {
         let mut session = Self::refining(self.config.clone(), self.camera, self.frame_rate);
         session.keep_world();
         session.is_readout_given = self.is_readout_given;
+        session.set_unordered(self.is_unordered);
         session.set_cancellation(self.state.cancellation.clone());
         session.state.scratch = Arc::clone(&self.state.scratch);
         if let Some(valid_mask) = &self.state.valid_mask {
@@ -177,7 +178,7 @@ impl Session {
             Some(estimated) => estimated_observation(colour, estimated),
         };
         let response = self.response_at(position);
-        let previous = self.state.frames[..position].last();
+        let previous = self.state.frames[..position].last().filter(|_| !self.is_unordered);
         let mut estimate = FrameEstimate {
             tone: previous.map_or_else(FrameTone::default, |f| f.tone),
             response,
@@ -187,8 +188,7 @@ impl Session {
         };
         let known = adjacent.motion_per_interval(timestamp, self.frame_rate);
         let from_previous = || {
-            let previous = previous.filter(|_| !self.is_unordered)?;
-            let adjacent = AdjacentFrames::from_neighbour(&estimate, previous);
+            let adjacent = AdjacentFrames::from_neighbour(&estimate, previous?);
             adjacent.motion_per_interval(timestamp, self.frame_rate)
         };
         if let Some(motion) = known.or_else(from_previous) {

@@ -31,7 +31,7 @@ use std::sync::Arc;
 /// Largest difference between the numbers of a keyframe and of those it is matched with.
 pub const MAX_KEYFRAME_DISTANCE: usize = 8;
 /// Largest difference between the numbers of photographs that are matched.
-pub const MAX_PHOTOGRAPH_DISTANCE: usize = 100;
+pub const MAX_PHOTOGRAPH_DISTANCE: usize = 40;
 /// Keyframes that one is matched with, and compared with for consistency.
 const MAX_VIEWS: usize = 5;
 /// Share of pixels without a reading from which on they are estimated from pictures: less is beside

@@ -3,8 +3,7 @@
 use super::aliked::Features;
 use super::matching::match_features;
 use super::rotation_averaging::{RelativeRotation, average_rotations};
-pub(crate) use super::verification::POSITION_SIGMA;
-use super::verification::{MatchedPair, match_pair};
+use super::verification::{MatchedPair, POSITION_SIGMA, match_pair};
 use crate::progress::{Progress, Stage};
 use crate::track::pyramid::Pyramid;
 use crate::track::thumbnail::KeyframeImage;
@@ -18,6 +17,8 @@ use std::sync::Arc;
 const MIN_TRACKED_POINTS: usize = 24;
 /// Share of pictures with fewer from which on all of them are photographs.
 const MIN_BREAK_SHARE: f64 = 0.25;
+/// Pictures after which a film is known to be one.
+const MAX_UNDECIDED_PICTURES: usize = 60;
 /// Pictures of which each is compared with every other one; with more of them, each is compared with so
 /// many that have most matches among the features of most contrast (Wu 2013).
 const MAX_EXHAUSTIVE: usize = 40;
@@ -50,7 +51,8 @@ pub(crate) struct PhotographPair {
 /// A feature of a photograph.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct PhotographFeature {
-    pub(crate) observation: Observation,
+    /// Position as the lens shows it [px].
+    pub(crate) at: [f64; 2],
     /// Index of the track that it belongs to.
     pub(crate) track: Option<usize>,
 }
@@ -65,29 +67,43 @@ pub(crate) struct MatchedPhotographs {
     pub(crate) registered_anew: BTreeSet<usize>,
 }
 
-/// The pictures at which tracking broke off, on both sides.
+/// Pictures at which tracking broke off, on both sides, as long as they may be photographs.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct PhotoCollection {
     views: BTreeMap<usize, View>,
+    /// The last picture that shows something of its own.
+    last: Option<(usize, Arc<Pyramid>)>,
     breaks: usize,
-    frames: usize,
+    pictures: usize,
+    is_film: bool,
 }
 
 impl PhotoCollection {
-    /// Adds the next picture, in which so many points `tracked` from the one before were found.
-    pub(crate) fn add(&mut self, before: Option<&Pyramid>, picture: &Pyramid, tracked: usize) {
-        let frame = self.frames;
-        self.frames += 1;
-        let Some(before) = before.filter(|_| tracked < MIN_TRACKED_POINTS) else { return };
-        self.breaks += 1;
-        for (frame, pyramid) in [(frame - 1, before), (frame, picture)] {
-            self.views.entry(frame).or_insert_with(|| View::new(pyramid, frame));
+    /// Adds the picture of a frame that repeats no other, in which so many points `tracked` from those before
+    /// were found.
+    pub(crate) fn add(&mut self, frame: usize, picture: &Arc<Pyramid>, tracked: usize) {
+        if self.is_film {
+            return;
+        }
+        self.pictures += 1;
+        let before = self.last.replace((frame, Arc::clone(picture)));
+        let Some((last, before)) = before else { return };
+        let is_break = tracked < MIN_TRACKED_POINTS;
+        self.breaks += usize::from(is_break);
+        if is_break || self.is_unordered() {
+            for (frame, pyramid) in [(last, &before), (frame, picture)] {
+                self.views.entry(frame).or_insert_with(|| View::new(pyramid, frame));
+            }
+        }
+        // Features take a megabyte a picture.
+        if self.pictures >= MAX_UNDECIDED_PICTURES && !self.is_unordered() {
+            *self = Self { is_film: true, ..Self::default() };
         }
     }
 
     /// Whether the pictures are photographs rather than frames of a film.
     pub(crate) fn is_unordered(&self) -> bool {
-        self.breaks as f64 > MIN_BREAK_SHARE * self.frames as f64
+        !self.is_film && self.breaks as f64 > MIN_BREAK_SHARE * self.pictures as f64
     }
 
     /// The pictures in small, in order.
@@ -123,7 +139,7 @@ impl PhotoCollection {
         };
         let of_view = |(view, features): (usize, &&Features)| {
             let feature = |(at, track): (&[f64; 2], &Option<usize>)| PhotographFeature {
-                observation: Observation::new(frames[view], *at, POSITION_SIGMA),
+                at: *at,
                 track: track.map(|track| first_track + track),
             };
             let all = features.positions.iter().zip(&track_of[view]).map(feature).collect();
@@ -178,7 +194,8 @@ fn without_contradictions(
     let rotation = |((first, second), pair): &((usize, usize), MatchedPair)| {
         let verified = pair.verified.as_ref()?;
         let second_from_first = verified.second_from_first.rotation;
-        let weight = verified.matches.len() as f64;
+        // Repeated patterns give many pairs of few matches.
+        let weight = (verified.matches.len() as f64).powi(2);
         Some(RelativeRotation { first: *first, second: *second, second_from_first, weight })
     };
     let rotations: Vec<RelativeRotation> = matched.iter().filter_map(rotation).collect();

@@ -5,3 +5,5 @@ pub(crate) mod collection;
 mod matching;
 mod rotation_averaging;
 mod verification;
+
+pub(crate) use verification::{MAX_EPIPOLAR_DISTANCE, POSITION_SIGMA};

@@ -8,8 +8,8 @@ use i2slam_compute::Random;
 use i2slam_geometry::{Rotation, Vec3};
 use std::collections::BTreeMap;
 
-/// Angle at which a pair counts half [rad].
-const HALF_WEIGHT_ANGLE: f64 = 0.15;
+/// Width of the loss of the angles by which pairs contradict (Geman and McClure) [rad].
+const LOSS_WIDTH: f64 = 0.15;
 /// Angle by which the pairs of a triangle may contradict [rad].
 const MAX_TRIANGLE_ERROR: f64 = 0.5;
 /// Spanning trees that are tried.
@@ -25,7 +25,7 @@ pub(super) struct RelativeRotation {
     pub(super) first: usize,
     pub(super) second: usize,
     pub(super) second_from_first: Rotation<f64>,
-    /// Number of matches that agree.
+    /// Square of the number of matches that agree.
     pub(super) weight: f64,
 }
 
@@ -44,7 +44,7 @@ pub(super) fn average_rotations(
             let (mut sum, mut weights) = (Vec3::zero(), 0.0);
             for (predicted, weight) in predictions(&found, pairs, of) {
                 let off = (predicted * own.inverse()).log();
-                let ratio = off.norm() / HALF_WEIGHT_ANGLE;
+                let ratio = off.norm() / LOSS_WIDTH;
                 let weight = weight / ((1.0 + ratio * ratio) * (1.0 + ratio * ratio));
                 (sum, weights) = (sum + off * weight, weights + weight);
             }

@@ -3,12 +3,14 @@
 
 use super::aliked::Features;
 use super::matching::{FeatureMatch, Matches, match_features};
+use crate::multiview::a_contrario::is_no_chance;
 use crate::multiview::robust_loss::cauchy;
 use crate::multiview::two_view::{
     RayPair, orbit_poses, ray_pairs, refine_relative_pose, resolve_cheirality, sampson,
 };
 use i2slam_compute::Random;
 use i2slam_geometry::{Camera, Pose};
+use std::collections::BTreeSet;
 
 /// Deviation of the position of a feature in motion-blurred pictures [px].
 pub(crate) const POSITION_SIGMA: f64 = 2.0;
@@ -18,12 +20,12 @@ const SAMPLE_SIZE: usize = 5;
 /// Steps from one start, and of the final pose.
 const SAMPLE_STEPS: usize = 8;
 const FINAL_STEPS: usize = 15;
-/// Residual of a match that agrees, at most [deviations].
-const MAX_ERROR: f64 = 1.0;
-/// Matches that must agree.
+/// Distance of a match that agrees from its epipolar lines, at most [px].
+pub(crate) const MAX_EPIPOLAR_DISTANCE: f64 = 2.0;
+/// Distance within which matches of both sizes of the pictures are one [px].
+const MIN_SEPARATION: f64 = 4.0;
+/// Places at which matches must agree.
 const MIN_INLIERS: usize = 12;
-/// Natural logarithm of the expected number of as good relative poses among random matches, at most.
-const MAX_LOG_FALSE_ALARMS: f64 = -9.0;
 
 /// The relative pose of two pictures that show the same scene, and the matches that agree on it.
 #[derive(Clone, Debug)]
@@ -56,11 +58,13 @@ fn verify(
 ) -> Option<VerifiedPair> {
     let pose = relative_pose(camera, features, matches)?;
     let pairs = rays(camera, features, matches);
-    let agreeing = |(_, rays): &(&FeatureMatch, &RayPair)| error(camera, &pose, rays) < MAX_ERROR;
+    let agreeing =
+        |(_, rays): &(&FeatureMatch, &RayPair)| error(camera, &pose, rays) < MAX_EPIPOLAR_DISTANCE;
     let inliers: Vec<FeatureMatch> =
         matches.iter().zip(&pairs).filter(agreeing).map(|(m, _)| *m).collect();
     let chance = chance_of_agreement(camera, &pose, features, second_best);
-    if !is_no_chance(matches.len(), inliers.len(), chance) {
+    let [all, agreeing] = [matches, &inliers].map(|m| distinct_places(features, m));
+    if agreeing < MIN_INLIERS || !is_no_chance(all, SAMPLE_SIZE, &vec![chance; agreeing]) {
         return None;
     }
     let second_from_first = refined_pose(camera, features, pose, &inliers)?;
@@ -89,14 +93,15 @@ fn relative_pose(
         else {
             continue;
         };
-        let off = |rays: &RayPair| error(camera, &found, rays).min(MAX_ERROR).powi(2);
+        let off = |rays: &RayPair| error(camera, &found, rays).min(MAX_EPIPOLAR_DISTANCE).powi(2);
         let cost: f64 = pairs.iter().map(off).sum();
         if best.is_none_or(|(least, _)| cost < least) {
             best = Some((cost, found));
         }
     }
     let pose = best?.1;
-    let is_near = |(_, rays): &(&FeatureMatch, &RayPair)| error(camera, &pose, rays) < MAX_ERROR;
+    let is_near =
+        |(_, rays): &(&FeatureMatch, &RayPair)| error(camera, &pose, rays) < MAX_EPIPOLAR_DISTANCE;
     let near: Vec<FeatureMatch> =
         matches.iter().zip(&pairs).filter(is_near).map(|(m, _)| *m).collect();
     refined_pose(camera, features, pose, &near)
@@ -121,9 +126,17 @@ fn rays(camera: &Camera<f64>, [first, second]: [&Features; 2], m: &[FeatureMatch
     ray_pairs(camera, &positions)
 }
 
-/// Epipolar distance [deviations]: that of Sampson, which divides by the gradient in both pictures.
+/// Epipolar distance [px]: that of Sampson, which divides by the gradient in both pictures.
 fn error(camera: &Camera<f64>, pose: &Pose<f64>, rays: &RayPair) -> f64 {
-    sampson(pose, rays).abs() * camera.fx / POSITION_SIGMA
+    sampson(pose, rays).abs() * camera.fx
+}
+
+/// Number of places in both pictures that matches show: a point may match in both sizes.
+fn distinct_places([first, second]: [&Features; 2], matches: &[FeatureMatch]) -> usize {
+    let cell = |at: [f64; 2]| at.map(|v| (v / MIN_SEPARATION) as usize);
+    let place =
+        |m: &FeatureMatch| (cell(first.positions[m.first]), cell(second.positions[m.second]));
+    matches.iter().map(place).collect::<BTreeSet<_>>().len()
 }
 
 /// Share of features that agree with a relative pose though they match something else: what looks alike
@@ -137,23 +150,7 @@ fn chance_of_agreement(
     let positions: Vec<([f64; 2], [f64; 2])> =
         second_best.iter().map(|(a, b)| (first.positions[*a], second.positions[*b])).collect();
     let pairs = ray_pairs(camera, &positions);
-    let agreeing = pairs.iter().filter(|rays| error(camera, pose, rays) < MAX_ERROR).count();
+    let agreeing =
+        pairs.iter().filter(|rays| error(camera, pose, rays) < MAX_EPIPOLAR_DISTANCE).count();
     (agreeing + 1) as f64 / (pairs.len() + 1) as f64
-}
-
-/// Whether the number of matches that agree is beyond what random ones reach (Moisan and Stival 2004):
-/// `(n - 5) C(n, k) C(k, 5) p^(k - 5)` sets of five would be expected to have as many.
-fn is_no_chance(matches: usize, inliers: usize, p: f64) -> bool {
-    if inliers < MIN_INLIERS {
-        return false;
-    }
-    let log_choose = |n: usize, k: usize| -> f64 {
-        (0..k).map(|i| ((n - i) as f64).ln() - ((i + 1) as f64).ln()).sum()
-    };
-    let (n, k) = (matches, inliers);
-    let log = ((n - SAMPLE_SIZE) as f64).ln()
-        + log_choose(n, k)
-        + log_choose(k, SAMPLE_SIZE)
-        + (k - SAMPLE_SIZE) as f64 * p.ln();
-    log < MAX_LOG_FALSE_ALARMS
 }

@@ -54,6 +54,9 @@ pub(crate) fn solve_pnp_ransac(
     start: Pose<f64>,
     matches: &[Match<'_>],
 ) -> Option<Pose<f64>> {
+    if matches.len() < MIN_RANSAC_INLIERS {
+        return None;
+    }
     let (pose, inliers) = pose_of_samples(camera, &[start], matches, HYPOTHESES)?;
     let enough = inliers.len() >= MIN_RANSAC_INLIERS
         && inliers.len() as f64 >= MIN_RANSAC_INLIER_RATIO * matches.len() as f64;

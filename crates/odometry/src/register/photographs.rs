@@ -1,9 +1,10 @@
 //! Registration of photographs in any order, by matches of their features with those of landmarks.
 
-use crate::features::collection::{
-    MatchedPhotographs, POSITION_SIGMA, PhotographFeature, PhotographPair,
-};
-use crate::multiview::landmark::{Match, reprojection_error};
+use crate::features::collection::{MatchedPhotographs, PhotographFeature, PhotographPair};
+use crate::features::{MAX_EPIPOLAR_DISTANCE, POSITION_SIGMA};
+use crate::multiview::a_contrario::is_no_chance;
+use crate::multiview::landmark::{Landmark, Match, reprojection_error};
+use crate::multiview::lens_distortion::undistort;
 use crate::multiview::pnp::{pose_of_samples, refine_pnp};
 use crate::multiview::two_view::sampson;
 use crate::sfm_state::SfmState;
@@ -16,21 +17,29 @@ use std::sync::Arc;
 /// Hypotheses of the pose of a photograph, and registered ones from whose poses it is searched.
 const HYPOTHESES: usize = 2000;
 const MAX_STARTS: usize = 4;
-/// Distance of a match from its epipolar lines, at most [deviations].
-const MAX_EPIPOLAR_ERROR: f64 = 1.0;
 /// Angle by which a photograph that is registered anew turns, at least [rad].
 const MIN_CORRECTION: f64 = 0.05;
 /// Residual of a match that agrees with a pose [deviations].
 const MAX_ERROR: f64 = 3.0;
-/// Matches that must agree with a pose, along a verified relative pose and without one.
+/// Features that must agree with a pose, along a verified relative pose and without one: patterns that
+/// repeat agree, too, if nothing speaks against it.
 const MIN_INLIERS: usize = 8;
 const MIN_UNVERIFIED_INLIERS: usize = 20;
-/// Natural logarithm of the expected number of as good poses among random matches, at most.
-const MAX_LOG_FALSE_ALARMS: f64 = -9.0;
-/// Matches that determine a pose.
+/// Matches that determine a pose, and those that determine it along a relative pose.
 const SAMPLE_SIZE: usize = 4;
+const SAMPLE_SIZE_OF_LENGTH: usize = 1;
 /// Width of the loss of the final pose [deviations].
 const LOSS_WIDTH: f64 = 1.5;
+
+/// A feature of a photograph that may show a landmark.
+#[derive(Clone, Copy)]
+struct Candidate<'a> {
+    /// Indices of feature and track.
+    own: usize,
+    track: usize,
+    landmark: &'a Landmark,
+    observation: &'a Observation,
+}
 
 /// A photograph localised in the map.
 struct Localization {
@@ -40,8 +49,8 @@ struct Localization {
     agreeing: Vec<(usize, usize)>,
 }
 
-/// Registers the photograph with most matches that agree on a pose; where none is left, one of the registered
-/// ones anew that has more of them elsewhere.
+/// Registers the photograph with most features that agree on a pose; where none is left, one of the
+/// registered ones anew that has more of them elsewhere.
 pub(crate) fn register_next_photograph(state: &mut SfmState) -> Option<usize> {
     let mut photographs = state.photographs.take()?;
     let (posed, unposed): (Vec<usize>, Vec<usize>) =
@@ -76,8 +85,8 @@ fn is_elsewhere(state: &SfmState, found: &Localization) -> bool {
 /// Whether a track has a landmark that two photographs other than one determine.
 fn is_determined_without(state: &SfmState, track: usize, frame: usize) -> bool {
     let others = state.adjusted_inliers(track).filter(|o| o.frame != frame);
-    state.landmarks[track].is_some()
-        && others.filter(|o| state.poses[o.frame].is_some()).nth(1).is_some()
+    let mut posed = others.filter(|o| state.poses[o.frame].is_some());
+    state.landmarks[track].is_some() && posed.nth(1).is_some()
 }
 
 /// Poses a photograph, and adds its features to the tracks that they show, and new tracks of matches that
@@ -90,25 +99,28 @@ fn register(
     let frame = found.frame;
     if state.poses[frame].is_some() {
         photographs.registered_anew.insert(frame);
+        forget_observations(state, found);
     }
     state.poses[frame] = Some(found.world_from_camera);
     let MatchedPhotographs { pairs, features, .. } = photographs;
     for &(own, track) in &found.agreeing {
-        if let Some(feature) = features.get_mut(&frame).and_then(|all| all.get_mut(own)) {
+        let is_free = state.tracks.tracks[track].observation_in(frame).is_none();
+        let feature = features.get_mut(&frame).and_then(|all| all.get_mut(own));
+        if let Some(feature) = feature.filter(|_| is_free) {
             feature.track = Some(track);
-            state.add_observations(vec![(track, feature.observation)]);
+            let observation = observation(state, frame, feature);
+            state.add_observations(vec![(track, observation)]);
         }
     }
     for (pair, other) in pairs_of(pairs, frame) {
-        if state.poses[other].is_none() {
-            continue;
-        }
         for (own, theirs) in matches_of(pair, frame) {
             let (here, there) = (features[&frame][own], features[&other][theirs]);
-            if here.track.is_some() || there.track.is_some() || !agrees(state, &here, &there) {
+            let is_new = here.track.is_none() && there.track.is_none();
+            let pair = [observation(state, frame, &here), observation(state, other, &there)];
+            if !is_new || !agrees(state, &pair) {
                 continue;
             }
-            let mut observations = vec![here.observation, there.observation];
+            let mut observations = pair.to_vec();
             observations.sort_by_key(|o| o.frame);
             let track = Some(state.landmarks.len());
             state.add_track(Track { observations });
@@ -121,14 +133,30 @@ fn register(
     frame
 }
 
-/// Whether features of two posed photographs may show one point.
-fn agrees(state: &SfmState, first: &PhotographFeature, second: &PhotographFeature) -> bool {
-    let [a, b] = [first, second].map(|feature| feature.observation);
+/// Takes observations at a pose that was wrong for outliers, and drops landmarks that rest on them.
+fn forget_observations(state: &mut SfmState, found: &Localization) {
+    let kept: BTreeSet<usize> = found.agreeing.iter().map(|(_, track)| *track).collect();
+    for track in Arc::clone(&state.by_frame)[found.frame].iter().filter(|t| !kept.contains(t)) {
+        let observation = state.tracks.tracks[*track].observation_in_mut(found.frame);
+        observation.into_iter().for_each(|o| o.is_outlier = true);
+        if !is_determined_without(state, *track, found.frame) {
+            state.landmarks[*track] = None;
+        }
+    }
+}
+
+/// The observation that a feature is, without lens distortion.
+fn observation(state: &SfmState, frame: usize, feature: &PhotographFeature) -> Observation {
+    let raw = Observation::new(frame, feature.at, POSITION_SIGMA);
+    raw.moved_to(undistort(&state.camera, state.distortion, feature.at))
+}
+
+/// Whether observations of two posed photographs may be of one point.
+fn agrees(state: &SfmState, [a, b]: &[Observation; 2]) -> bool {
     let (Some(from), Some(to)) = (state.poses[a.frame], state.poses[b.frame]) else { return false };
     let ray = |o: &Observation| state.camera.unproject(o.at()[0], o.at()[1], 1.0);
-    let second_from_first = to.inverse() * from;
-    let off = sampson(&second_from_first, &(ray(&a), ray(&b))).abs() * state.camera.fx;
-    off < MAX_EPIPOLAR_ERROR * a.sigma()
+    let off = sampson(&(to.inverse() * from), &(ray(a), ray(b))).abs() * state.camera.fx;
+    off < MAX_EPIPOLAR_DISTANCE
 }
 
 /// The pose of a photograph by its matches with landmarks.
@@ -137,44 +165,47 @@ fn localize(
     photographs: &MatchedPhotographs,
     frame: usize,
 ) -> Option<Localization> {
-    let mut shared: BTreeMap<usize, usize> = BTreeMap::new();
-    let mut candidates: BTreeSet<(usize, usize)> = BTreeSet::new();
-    for (pair, other) in
-        pairs_of(&photographs.pairs, frame).filter(|(_, o)| state.poses[*o].is_some())
-    {
+    if state.progress.is_cancelled() {
+        return None;
+    }
+    let (found, shared) = landmarks_of_matches(state, photographs, frame);
+    let of = |feature| observation(state, frame, feature);
+    let observations: Vec<Observation> = photographs.features[&frame].iter().map(of).collect();
+    let candidate = |&(own, track): &(usize, usize)| {
+        let landmark = state.landmarks[track].as_ref()?;
+        Some(Candidate { own, track, landmark, observation: &observations[own] })
+    };
+    let candidates: Vec<Candidate<'_>> = found.iter().filter_map(candidate).collect();
+    let by_samples = pose_by_samples(state, &shared, &candidates);
+    let pairs = pairs_of(&photographs.pairs, frame);
+    let by_pairs = pairs.filter_map(|pair| pose_by_pair(state, frame, pair, &candidates));
+    let (world_from_camera, agreeing) =
+        by_pairs.chain(by_samples).max_by_key(|(_, agreeing)| agreeing.len())?;
+    let agreeing = agreeing.iter().map(|c| (c.own, c.track)).collect();
+    Some(Localization { frame, world_from_camera, agreeing })
+}
+
+/// Features of a photograph that match one of a registered photograph, and the tracks of these that others
+/// determine; also the number of them by photograph.
+fn landmarks_of_matches(
+    state: &SfmState,
+    photographs: &MatchedPhotographs,
+    frame: usize,
+) -> (BTreeSet<(usize, usize)>, BTreeMap<usize, usize>) {
+    let (mut found, mut shared) = (BTreeSet::new(), BTreeMap::new());
+    for (pair, other) in pairs_of(&photographs.pairs, frame) {
+        if state.poses[other].is_none() {
+            continue;
+        }
         for (own, theirs) in matches_of(pair, frame) {
             let track = photographs.features[&other][theirs].track;
-            let Some(track) = track.filter(|t| is_determined_without(state, *t, frame)) else {
-                continue;
-            };
-            *shared.entry(other).or_default() += 1;
-            candidates.insert((track, own));
+            if let Some(track) = track.filter(|t| is_determined_without(state, *t, frame)) {
+                *shared.entry(other).or_default() += 1;
+                found.insert((own, track));
+            }
         }
     }
-    let features = &photographs.features[&frame];
-    let candidates: Vec<(usize, usize)> = candidates.into_iter().collect();
-    let matches: Vec<Match<'_>> = candidates
-        .iter()
-        .filter_map(|(track, own)| {
-            Some((state.landmarks[*track].as_ref()?, &features[*own].observation))
-        })
-        .collect();
-    let camera = &state.camera;
-    let by_samples = pose_of_samples(camera, &nearest_poses(state, &shared), &matches, HYPOTHESES);
-    // Patterns that repeat agree, too, if no relative pose speaks against it.
-    let by_samples = by_samples.filter(|(_, agreeing)| {
-        agreeing.len() >= MIN_UNVERIFIED_INLIERS
-            && is_no_chance(camera, SAMPLE_SIZE, [matches.len(), agreeing.len()])
-    });
-    let by_pairs = poses_by_pairs(state, photographs, frame, &matches);
-    let best = by_pairs.chain(by_samples).max_by_key(|(_, agreeing)| agreeing.len());
-    let (pose, agreeing) = best?;
-    let world_from_camera = refine_pnp(camera, pose, &agreeing, LOSS_WIDTH);
-    let is_agreeing =
-        |m: &Match<'_>| agreeing.iter().any(|a| std::ptr::eq(a.0, m.0) && std::ptr::eq(a.1, m.1));
-    let agreeing = candidates.iter().zip(&matches).filter(|(_, m)| is_agreeing(m));
-    let agreeing = agreeing.map(|((track, own), _)| (*own, *track)).collect();
-    Some(Localization { frame, world_from_camera, agreeing })
+    (found, shared)
 }
 
 /// Pairs with a photograph, and the other one of each.
@@ -195,77 +226,110 @@ fn matches_of(pair: &PhotographPair, frame: usize) -> impl Iterator<Item = (usiz
     pair.matches.iter().map(move |&(a, b)| if is_first { (a, b) } else { (b, a) })
 }
 
-/// Poses of the registered photographs that share most matches with one.
-fn nearest_poses(state: &SfmState, shared: &BTreeMap<usize, usize>) -> Vec<Pose<f64>> {
+/// The pose that random samples of the candidates give, from those of the registered photographs that share
+/// most of them, and the candidates that agree.
+fn pose_by_samples<'a>(
+    state: &SfmState,
+    shared: &BTreeMap<usize, usize>,
+    candidates: &[Candidate<'a>],
+) -> Option<(Pose<f64>, Vec<Candidate<'a>>)> {
     let mut near: Vec<(usize, usize)> = shared.iter().map(|(other, n)| (*n, *other)).collect();
     near.sort_by(|a, b| b.cmp(a));
-    near.iter().take(MAX_STARTS).filter_map(|(_, other)| state.poses[*other]).collect()
+    let starts: Vec<Pose<f64>> =
+        near.iter().take(MAX_STARTS).filter_map(|(_, other)| state.poses[*other]).collect();
+    let (pose, _) = pose_of_samples(&state.camera, &starts, &matches(candidates), HYPOTHESES)?;
+    let (pose, agreeing) = refined(&state.camera, pose, candidates);
+    let chances = vec![chance_of_place(&state.camera); agreeing.len()];
+    let is_enough = agreeing.len() >= MIN_UNVERIFIED_INLIERS;
+    (is_enough && is_no_chance(candidates.len(), SAMPLE_SIZE, &chances)).then_some((pose, agreeing))
 }
 
-/// Poses of a photograph by its relative poses to registered ones, as far away as most landmarks ask, each
-/// with the matches that agree, where so many are no chance.
-fn poses_by_pairs<'a>(
+/// The pose of a photograph by its relative pose to a registered one, as far away as most candidates ask,
+/// and those that agree.
+fn pose_by_pair<'a>(
     state: &SfmState,
-    photographs: &MatchedPhotographs,
     frame: usize,
-    matches: &[Match<'a>],
-) -> impl Iterator<Item = (Pose<f64>, Vec<Match<'a>>)> {
+    (pair, other): (&PhotographPair, usize),
+    candidates: &[Candidate<'a>],
+) -> Option<(Pose<f64>, Vec<Candidate<'a>>)> {
     let camera = &state.camera;
-    let of_pair = move |(pair, other): (&PhotographPair, usize)| {
-        let relative = pair.second_from_first?;
-        let relative = if pair.second == frame { relative } else { relative.inverse() };
-        let other = state.poses[other]?;
-        let pose_at = |length: f64| {
-            other * Pose::new(relative.rotation, relative.translation * length).inverse()
-        };
-        let lengths = matches.iter().map(|m| baseline_length(camera, relative, other.inverse(), m));
-        let tried = lengths.filter(|length| *length > 0.0).map(|length| {
-            let pose = pose_at(length);
-            (agreeing(camera, &pose, matches).len(), pose)
-        });
-        let (_, pose) = tried.max_by_key(|(count, _)| *count)?;
-        let pose = refine_pnp(camera, pose, &agreeing(camera, &pose, matches), LOSS_WIDTH);
-        let agreeing = agreeing(camera, &pose, matches);
-        is_no_chance(camera, 1, [matches.len(), agreeing.len()]).then_some((pose, agreeing))
+    let relative = pair.second_from_first?;
+    let relative = if pair.second == frame { relative } else { relative.inverse() };
+    let world_from_other = state.poses[other]?;
+    let at_length = |c: &Candidate<'_>| {
+        let length = baseline_length(camera, relative, world_from_other.inverse(), c);
+        let moved = Pose::new(relative.rotation, relative.translation * length);
+        (length > 0.0).then(|| world_from_other * moved.inverse())
     };
-    pairs_of(&photographs.pairs, frame).filter_map(of_pair).collect::<Vec<_>>().into_iter()
+    let tried = candidates.iter().filter_map(at_length);
+    let pose = tried.max_by_key(|pose| agreeing(camera, pose, candidates).len())?;
+    let (pose, agreeing) = refined(camera, pose, candidates);
+    // What the other one shows lies on its epipolar line already.
+    let chance =
+        |c: &Candidate<'_>| match state.tracks.tracks[c.track].observation_in(other).is_some() {
+            true => chance_on_line(camera),
+            false => chance_of_place(camera),
+        };
+    let chances: Vec<f64> = agreeing.iter().map(chance).collect();
+    let is_known = agreeing.len() >= MIN_INLIERS
+        && is_no_chance(candidates.len(), SAMPLE_SIZE_OF_LENGTH, &chances);
+    is_known.then_some((pose, agreeing))
 }
 
-/// Matches that agree with a pose.
-fn agreeing<'a>(camera: &Camera<f64>, pose: &Pose<f64>, all: &[Match<'a>]) -> Vec<Match<'a>> {
-    all.iter().filter(|m| reprojection_error(camera, pose, m) < MAX_ERROR).copied().collect()
+fn matches<'a>(candidates: &[Candidate<'a>]) -> Vec<Match<'a>> {
+    candidates.iter().map(|c| (c.landmark, c.observation)).collect()
 }
 
-/// Length of the baseline between two pictures, whose direction `camera_from_other` gives, that a landmark
+/// A pose adjusted to the candidates that agree, and those that agree then.
+fn refined<'a>(
+    camera: &Camera<f64>,
+    pose: Pose<f64>,
+    candidates: &[Candidate<'a>],
+) -> (Pose<f64>, Vec<Candidate<'a>>) {
+    let agreeing_before = matches(&agreeing(camera, &pose, candidates));
+    let pose = refine_pnp(camera, pose, &agreeing_before, LOSS_WIDTH);
+    (pose, agreeing(camera, &pose, candidates))
+}
+
+/// Candidates that agree with a pose, one of each feature.
+fn agreeing<'a>(
+    camera: &Camera<f64>,
+    pose: &Pose<f64>,
+    candidates: &[Candidate<'a>],
+) -> Vec<Candidate<'a>> {
+    let error = |c: &Candidate<'_>| reprojection_error(camera, pose, &(c.landmark, c.observation));
+    // Candidates are in the order of their features.
+    let of_feature = candidates.chunk_by(|a, b| a.own == b.own).filter_map(|all| {
+        let nearest = all.iter().min_by(|a, b| error(a).total_cmp(&error(b)))?;
+        (error(nearest) < MAX_ERROR).then_some(*nearest)
+    });
+    of_feature.collect()
+}
+
+/// Length of the baseline between two pictures, whose direction `camera_from_other` gives, that a candidate
 /// asks for.
 fn baseline_length(
     camera: &Camera<f64>,
     camera_from_other: Pose<f64>,
     other_from_world: Pose<f64>,
-    (landmark, o): &Match<'_>,
+    candidate: &Candidate<'_>,
 ) -> f64 {
     // The ray r through the observation meets R x + s t.
-    let ray = camera.unproject(o.at()[0], o.at()[1], 1.0);
-    let point = other_from_world * landmark.position();
+    let at = candidate.observation.at();
+    let ray = camera.unproject(at[0], at[1], 1.0);
+    let point = other_from_world * candidate.landmark.position();
     let along = ray.cross(camera_from_other.rotation.rotate(point));
     let moved = ray.cross(camera_from_other.translation);
     -moved.dot(along) / moved.norm_squared().max(1e-12)
 }
 
-/// Whether so many of the matches agree with a pose that `sample` of them determine that it is no chance
-/// (Moisan, Moulon and Monasse 2012): a random one agrees in a small part of the picture.
-fn is_no_chance(camera: &Camera<f64>, sample: usize, [matches, agreeing]: [usize; 2]) -> bool {
-    if agreeing < MIN_INLIERS {
-        return false;
-    }
+/// Share of the picture within which a candidate agrees.
+fn chance_of_place(camera: &Camera<f64>) -> f64 {
     let radius = MAX_ERROR * POSITION_SIGMA;
-    let p = std::f64::consts::PI * radius * radius / (camera.width * camera.height) as f64;
-    let log_choose = |n: usize, k: usize| -> f64 {
-        (0..k).map(|i| ((n - i) as f64).ln() - ((i + 1) as f64).ln()).sum()
-    };
-    let log = ((matches - sample) as f64).ln()
-        + log_choose(matches, agreeing)
-        + log_choose(agreeing, sample)
-        + (agreeing - sample) as f64 * p.ln();
-    log < MAX_LOG_FALSE_ALARMS
+    std::f64::consts::PI * radius * radius / (camera.width * camera.height) as f64
+}
+
+/// Share of a line across the picture within which a candidate agrees.
+fn chance_on_line(camera: &Camera<f64>) -> f64 {
+    2.0 * MAX_ERROR * POSITION_SIGMA / (camera.width as f64).hypot(camera.height as f64)
 }

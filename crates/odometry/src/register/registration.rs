@@ -139,8 +139,11 @@ pub(crate) fn refine_pose(state: &SfmState, frame: usize) -> Option<Pose<f64>> {
 /// Registers frames between keyframes and remaining keyframes, until none succeeds.
 pub(crate) fn register_remaining_frames(state: &mut SfmState) {
     loop {
-        let unposed: Vec<usize> =
-            (0..state.poses.len()).filter(|f| state.poses[*f].is_none()).collect();
+        let is_photograph = |frame: &usize| {
+            state.photographs.as_ref().is_some_and(|all| all.features.contains_key(frame))
+        };
+        let is_left = |f: &usize| state.poses[*f].is_none() && !is_photograph(f);
+        let unposed: Vec<usize> = (0..state.poses.len()).filter(is_left).collect();
         let found: Vec<Option<Pose<f64>>> = unposed
             .par_iter()
             .map(|frame| estimate_pose(state, *frame).map(|r| r.world_from_camera))

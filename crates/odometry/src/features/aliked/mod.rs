@@ -40,7 +40,13 @@ impl Features {
         let half = brightness.resized_by_area(brightness.width / 2, brightness.height / 2);
         let mut features = Self::of_one_size(brightness);
         let of_half = Self::of_one_size(&half);
-        features.positions.extend(of_half.positions.iter().map(|at| at.map(|v| 2.0 * v)));
+        let scale = [
+            brightness.width as f64 / half.width as f64,
+            brightness.height as f64 / half.height as f64,
+        ];
+        features
+            .positions
+            .extend(of_half.positions.iter().map(|[x, y]| [scale[0] * x, scale[1] * y]));
         features.descriptors.extend(of_half.descriptors);
         features
     }
