@@ -10,13 +10,15 @@ use crate::track::thumbnail::KeyframeImage;
 use crate::track::tracks::{Observation, Track};
 use i2slam_geometry::{Camera, Pose, Vec3};
 use rayon::prelude::*;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 
 /// Points that are tracked from a picture to the next one, at least, unless the order is none.
 const MIN_TRACKED_POINTS: usize = 24;
 /// Share of pictures with fewer from which on all of them are photographs.
 const MIN_BREAK_SHARE: f64 = 0.25;
+/// Pictures whose features can still be found.
+const MAX_RECENT_PICTURES: usize = 8;
 /// Pictures after which a film is known to be one.
 const MAX_UNDECIDED_PICTURES: usize = 60;
 /// Pictures of which each is compared with every other one; with more of them, each is compared with so
@@ -71,8 +73,8 @@ pub(crate) struct MatchedPhotographs {
 #[derive(Clone, Debug, Default)]
 pub(crate) struct PhotoCollection {
     views: BTreeMap<usize, View>,
-    /// The last picture that shows something of its own.
-    last: Option<(usize, Arc<Pyramid>)>,
+    /// The last pictures, of which features may be wanted.
+    recent: VecDeque<(usize, Arc<Pyramid>)>,
     breaks: usize,
     pictures: usize,
     is_film: bool,
@@ -86,14 +88,19 @@ impl PhotoCollection {
             return;
         }
         self.pictures += 1;
-        let before = self.last.replace((frame, Arc::clone(picture)));
-        let Some((last, before)) = before else { return };
-        let is_break = tracked < MIN_TRACKED_POINTS;
+        self.recent.push_back((frame, Arc::clone(picture)));
+        if self.recent.len() > MAX_RECENT_PICTURES {
+            self.recent.pop_front();
+        }
+        let is_break = self.pictures > 1 && tracked < MIN_TRACKED_POINTS;
         self.breaks += usize::from(is_break);
-        if is_break || self.is_unordered() {
-            for (frame, pyramid) in [(last, &before), (frame, picture)] {
-                self.views.entry(frame).or_insert_with(|| View::new(pyramid, frame));
-            }
+        let wanted = match (self.is_unordered(), is_break) {
+            (true, _) => self.recent.len(),
+            (false, true) => 2,
+            (false, false) => 0,
+        };
+        for (frame, pyramid) in self.recent.iter().rev().take(wanted) {
+            self.views.entry(*frame).or_insert_with(|| View::new(pyramid, *frame));
         }
         // Features take a megabyte a picture.
         if self.pictures >= MAX_UNDECIDED_PICTURES && !self.is_unordered() {
