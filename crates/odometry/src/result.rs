@@ -72,7 +72,7 @@ pub struct Reconstruction {
     pub depth_model: Option<DepthModel>,
     /// Registered keyframes, in order.
     pub keyframes: Vec<Keyframe>,
-    /// Whether the pictures are photographs, which were matched instead of tracked: those next to each
+    /// True if the pictures are photographs, which were matched instead of tracked: those next to each
     /// other in time need not be near.
     pub is_unordered: bool,
     /// Degradations that a user should know of.

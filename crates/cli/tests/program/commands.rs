@@ -120,7 +120,7 @@ fn a_result_is_no_sequence_and_a_preset_may_be_misspelt() {
     misspelt.stderr_contains("a similar value exists: 'default'");
 }
 
-/// What names no input is a wrong argument, of whichever flag.
+/// A path without an input is a wrong argument, of whichever flag.
 #[test]
 fn an_input_that_is_not_there_is_a_wrong_argument() {
     let scratch = TemporaryFolder::new("not-there");

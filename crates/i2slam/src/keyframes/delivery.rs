@@ -29,25 +29,12 @@ pub(crate) fn posed(
     frame: Frame,
     pose: Pose<f64>,
 ) -> PosedKeyframe {
+    // Of photographs those before and after in time are not near.
+    let neighbour = |frame: usize| stamped(found, frame).filter(|_| !found.is_unordered);
     PosedKeyframe {
         timestamp: found.timestamps[index],
-        ..match found.is_unordered {
-            true => PosedKeyframe::from_frame(frame, pose),
-            false => between_neighbours(found, index, frame, pose),
-        }
-    }
-}
-
-/// A frame of a film between those before and after it.
-fn between_neighbours(
-    found: &Reconstruction,
-    index: usize,
-    frame: Frame,
-    pose: Pose<f64>,
-) -> PosedKeyframe {
-    PosedKeyframe {
-        before: index.checked_sub(1).and_then(|index| stamped(found, index)),
-        after: stamped(found, index + 1),
+        before: index.checked_sub(1).and_then(neighbour),
+        after: neighbour(index + 1),
         ..PosedKeyframe::from_frame(frame, pose)
     }
 }

@@ -67,7 +67,7 @@ pub struct EstimatedDepth {
 
 /// Delivers keyframes in the order of their time stamps.
 pub trait KeyframeSource {
-    /// Whether the keyframes are photographs: those next to each other in time need not be near, and tell
+    /// True if the keyframes are photographs: those next to each other in time need not be near, and tell
     /// nothing of the motion during an exposure.
     fn is_unordered(&self) -> bool {
         false

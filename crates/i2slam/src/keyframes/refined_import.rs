@@ -36,7 +36,7 @@ pub struct RefinedImport<L> {
     is_refined: bool,
     /// Whether depth was measured.
     has_depth: bool,
-    /// Whether the keyframes are photographs.
+    /// True if the keyframes are photographs.
     is_unordered: bool,
 }
 

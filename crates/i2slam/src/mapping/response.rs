@@ -138,7 +138,7 @@ fn next_response(
     is_plausible(&next).then_some(next)
 }
 
-/// Whether a response spans about as many stops as the start curve: points of wrong poses bend it without
+/// True if a response spans about as many stops as the start curve: points of wrong poses bend it without
 /// bound.
 fn is_plausible(response: &CameraResponse<f32>) -> bool {
     let start = CameraResponse::<f32>::new(1, response.start(), response.spacing()).curve();

@@ -38,7 +38,7 @@ pub(super) struct Input<'a> {
     pub(super) kind: &'static ItemKind,
     /// Camera of all pictures.
     pub(super) camera: Camera<f64>,
-    /// Whether the keyframes are photographs, in no order.
+    /// True if the keyframes are photographs, in no order.
     pub(super) is_unordered: bool,
     /// Readout of a rolling shutter that the source has found [s]; 0 without.
     pub(super) readout: f64,

@@ -108,7 +108,7 @@ impl PhotoCollection {
         }
     }
 
-    /// Whether the pictures are photographs rather than frames of a film.
+    /// True if the pictures are photographs rather than frames of a film.
     pub(crate) fn is_unordered(&self) -> bool {
         !self.is_film && self.breaks as f64 > MIN_BREAK_SHARE * self.pictures as f64
     }
