@@ -30,7 +30,16 @@ pub(crate) struct AdjacentFrames {
     pub(crate) after: Option<(f64, Pose<f64>)>,
 }
 
+/// Time before a photograph at which its camera was at its place [s]: so long ago that it tells nothing of
+/// the motion during the exposure.
+const TIME_AT_REST: f64 = 1e6;
+
 impl AdjacentFrames {
+    /// Of a photograph, whose motion starts at rest.
+    pub(crate) fn at_rest(timestamp: f64) -> Self {
+        Self { before: Some((timestamp - TIME_AT_REST, Pose::identity())), after: None }
+    }
+
     /// One known neighbour, before or after `frame`.
     pub(crate) fn from_neighbour(frame: &FrameEstimate, other: &FrameEstimate) -> Self {
         let relative = Some((other.timestamp, frame.middle().inverse() * other.middle()));

@@ -88,7 +88,10 @@ impl Session {
         let keyframe_from_source = keyframe.world_from_camera.inverse();
         let relative = |(timestamp, pose)| (timestamp, keyframe_from_source * pose);
         let (before, after) = (keyframe.before.map(relative), keyframe.after.map(relative));
-        let adjacent = AdjacentFrames { before, after };
+        let adjacent = match self.is_unordered {
+            true => AdjacentFrames::at_rest(keyframe.timestamp),
+            false => AdjacentFrames { before, after },
+        };
         let is_keyframe = keyframe.is_keyframe;
         if self.position_of(keyframe.index).is_ok() {
             self.forget(&BTreeSet::from([keyframe.index]));

@@ -17,7 +17,7 @@ mod target;
 
 use super::context::{PredictedMotion, TrackingContext, TrackingResult, TrackingState};
 use crate::objective::{FrameObjective, Observation};
-use crate::reconstruction::{Convergence, FrameEstimate, Losses};
+use crate::reconstruction::{Convergence, Losses};
 use i2slam_compute::median;
 use i2slam_formation::vignetting::without_vignetting;
 use i2slam_formation::{CameraResponse, CentreVelocity, ResponseCurve};
@@ -71,7 +71,7 @@ struct FrameAlignment<'a> {
 }
 
 /// Aligns a frame from the constant-velocity prediction or, where that end is rejected, from the
-/// last pose at rest; without a last frame both begin where it is predicted. Where both fail, and no pose was expected, the frame is relocalised against
+/// last pose at rest. Where both fail, and no pose was expected, the frame is relocalised against
 /// the keyframes.
 pub(super) fn align<M: RadianceMap>(
     context: &TrackingContext<'_>,
@@ -81,8 +81,7 @@ pub(super) fn align<M: RadianceMap>(
     predicted: TrackingState,
     motion: PredictedMotion,
 ) -> TrackingResult {
-    // Nothing is known of the motion of a frame without one before it.
-    let previous_pose = context.previous.map_or(predicted.motion.centre, FrameEstimate::middle);
+    let previous_pose = context.previous.map_or_else(Pose::identity, |p| p.middle());
     let curve = predicted.response.as_ref().map(CameraResponse::curve);
     let colour = match (&curve, context.vignetting) {
         (Some(curve), Some(v)) => Arc::new(without_vignetting(&observation.colour, curve, v)),
