@@ -70,6 +70,9 @@ struct FrameAlignment<'a> {
     predicted_readout: f64,
 }
 
+/// Time since the last frame beyond which that tells nothing of the motion, as with photographs [s].
+const MAX_KNOWN_GAP: f64 = 1e5;
+
 /// Aligns a frame from the constant-velocity prediction or, where that end is rejected, from the
 /// last pose at rest. Where both fail, and no pose was expected, the frame is relocalised against
 /// the keyframes.
@@ -187,12 +190,17 @@ impl FrameAlignment<'_> {
     }
 
     fn motion_prior(&self, state: &TrackingState) -> MotionPrior {
+        let observed = self.context.timestamps.0;
         let free = !self.context.config.formation.trajectory_loss || !self.has_measured_motion();
         MotionPrior {
             pixels_per_unit: self.pixels_per_unit,
             step: CentreVelocity::along(self.previous_pose, state.motion.centre, 1.0).velocity,
             share: self.open_share(state) * self.context.interval_ratio(),
-            weight: if free { 1e-3 } else { PRIOR_WEIGHT },
+            weight: match self.context.previous {
+                Some(last) if observed - last.timestamp > MAX_KNOWN_GAP => 0.0,
+                _ if free => 1e-3,
+                _ => PRIOR_WEIGHT,
+            },
         }
     }
 
