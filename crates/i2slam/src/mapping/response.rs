@@ -42,8 +42,8 @@ const PRIOR_DEVIATION: f64 = 0.15;
 const POWER_ERROR: f64 = 0.1;
 /// Distance of the power by blur from what is known without, in standard deviations, at most.
 const MAX_POWER_DEVIATIONS: f64 = 2.0;
-/// Ratio of the stops that a response spans to those of the start curve, at most: Reinhard's, the softest,
-/// spans 1.6 times as many.
+/// Ratio of the stops that a response spans to those of the start curve, at most: the bound of the power by
+/// blur, beyond which the geometry is wrong.
 const MAX_RANGE_RATIO: f64 = 2.5;
 /// Picture values between which the former response is trusted; beyond, linear values are shifted.
 const TRUSTED: [f32; 2] = [0.05, 0.97];

@@ -171,8 +171,8 @@ impl Session {
         }
     }
 
-    /// Sets whether the keyframes are photographs: nothing is told of their motion and light by those before
-    /// and after them in time.
+    /// Sets whether the keyframes are photographs: nothing is told of their motion by those before and after
+    /// them in time.
     pub(crate) fn set_unordered(&mut self, is_unordered: bool) {
         self.is_unordered = is_unordered;
         self.config.formation.trajectory_loss &= !is_unordered;

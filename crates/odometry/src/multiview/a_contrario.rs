@@ -1,9 +1,9 @@
-//! Whether agreement may be chance (Moisan and Stival 2004; Moisan, Moulon and Monasse 2012).
+//! Agreement beyond chance (Moisan and Stival 2004; Moisan, Moulon and Monasse 2012).
 
 /// Natural logarithm of the expected number of models as good among random matches, at most.
 const MAX_LOG_FALSE_ALARMS: f64 = -9.0;
 
-/// Whether so many of the matches agree with a model that `sample` of them determine that it is no chance.
+/// True if so many of the matches agree with a model that `sample` of them determine that it is no chance.
 /// `chances` are the probabilities with which each agreeing one would agree with a wrong model.
 ///
 /// Of `n` matches, `(n - s) C(n, k) C(k, s) p^(k - s)` models would be expected to have `k` as good.

@@ -71,7 +71,7 @@ pub(crate) fn register_next_photograph(state: &mut SfmState) -> Option<usize> {
     frame
 }
 
-/// Whether a registered photograph agrees with more landmarks that others determine at another pose.
+/// True if a registered photograph agrees with more landmarks that others determine at another pose.
 fn is_elsewhere(state: &SfmState, found: &Localization) -> bool {
     let Some(pose) = state.poses[found.frame] else { return false };
     let is_supporting = |(track, o): &(usize, &Observation)| {
@@ -82,7 +82,7 @@ fn is_elsewhere(state: &SfmState, found: &Localization) -> bool {
     found.agreeing.len() > support && turn > MIN_CORRECTION
 }
 
-/// Whether a track has a landmark that two photographs other than one determine.
+/// True if a track has a landmark that two photographs other than one determine.
 fn is_determined_without(state: &SfmState, track: usize, frame: usize) -> bool {
     let others = state.adjusted_inliers(track).filter(|o| o.frame != frame);
     let mut posed = others.filter(|o| state.poses[o.frame].is_some());
@@ -151,7 +151,7 @@ fn observation(state: &SfmState, frame: usize, feature: &PhotographFeature) -> O
     raw.moved_to(undistort(&state.camera, state.distortion, feature.at))
 }
 
-/// Whether observations of two posed photographs may be of one point.
+/// True if observations of two posed photographs may be of one point.
 fn agrees(state: &SfmState, [a, b]: &[Observation; 2]) -> bool {
     let (Some(from), Some(to)) = (state.poses[a.frame], state.poses[b.frame]) else { return false };
     let ray = |o: &Observation| state.camera.unproject(o.at()[0], o.at()[1], 1.0);
