@@ -87,7 +87,9 @@ pub(crate) fn find_tone(
         None => context.white_balance,
     };
     let is_decided_anew = is_constant.is_some() && !context.has_found_white_balance;
-    if next.is_none() && !is_decided_anew && model == context.white_balance {
+    // Alignment holds white balance back: where it changes, points tell it each time.
+    let is_changing = is_constant == Some(false);
+    if next.is_none() && !is_decided_anew && !is_changing && model == context.white_balance {
         return FoundTone::default();
     }
     let change = ResponseChange::new(former, curve.clone());

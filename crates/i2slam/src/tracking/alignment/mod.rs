@@ -17,7 +17,7 @@ mod target;
 
 use super::context::{PredictedMotion, TrackingContext, TrackingResult, TrackingState};
 use crate::objective::{FrameObjective, Observation};
-use crate::reconstruction::{Convergence, Losses};
+use crate::reconstruction::{Convergence, FrameEstimate, Losses};
 use i2slam_compute::median;
 use i2slam_formation::vignetting::without_vignetting;
 use i2slam_formation::{CameraResponse, CentreVelocity, ResponseCurve};
@@ -25,7 +25,7 @@ use i2slam_geometry::{Pose, Tangent};
 use i2slam_odometry::alignment::{FrameLevel, ResidualSums};
 use i2slam_radiance::RadianceMap;
 use levenberg_marquardt::AlignmentOutcome;
-use priors::MotionPrior;
+use priors::{MIN_SIGMA_PX, MotionPrior};
 use pyramid::frame_levels;
 use std::sync::Arc;
 
@@ -73,6 +73,10 @@ struct FrameAlignment<'a> {
 /// Time since the last frame beyond which that tells nothing of the motion, as with photographs [s].
 const MAX_KNOWN_GAP: f64 = 1e5;
 
+/// Deviation of the motion during an exposure of which nothing is known, over the longer side of the
+/// picture: photographs held by hand show blur of one to some percent.
+const UNKNOWN_MOTION_RATIO: f64 = 0.05;
+
 /// Aligns a frame from the constant-velocity prediction or, where that end is rejected, from the
 /// last pose at rest. Where both fail, and no pose was expected, the frame is relocalised against
 /// the keyframes.
@@ -84,7 +88,8 @@ pub(super) fn align<M: RadianceMap>(
     predicted: TrackingState,
     motion: PredictedMotion,
 ) -> TrackingResult {
-    let previous_pose = context.previous.map_or_else(Pose::identity, |p| p.middle());
+    // Where the frame before is unknown, nothing says that the camera moves.
+    let previous_pose = context.previous.map_or(predicted.motion.centre, |p| p.middle());
     let curve = predicted.response.as_ref().map(CameraResponse::curve);
     let colour = match (&curve, context.vignetting) {
         (Some(curve), Some(v)) => Arc::new(without_vignetting(&observation.colour, curve, v)),
@@ -191,16 +196,22 @@ impl FrameAlignment<'_> {
 
     fn motion_prior(&self, state: &TrackingState) -> MotionPrior {
         let observed = self.context.timestamps.0;
-        let free = !self.context.config.formation.trajectory_loss || !self.has_measured_motion();
+        let pixels_per_unit = self.pixels_per_unit;
+        let is_near = |last: &&FrameEstimate| observed - last.timestamp <= MAX_KNOWN_GAP;
+        if self.context.previous.filter(is_near).is_none() {
+            let sigma_at_rest = UNKNOWN_MOTION_RATIO
+                * self.context.camera.width.max(self.context.camera.height) as f64;
+            let step = Tangent::zero();
+            let weight = PRIOR_WEIGHT;
+            return MotionPrior { pixels_per_unit, step, share: 0.0, sigma_at_rest, weight };
+        }
+        let is_free = !self.context.config.formation.trajectory_loss || !self.has_measured_motion();
         MotionPrior {
-            pixels_per_unit: self.pixels_per_unit,
+            pixels_per_unit,
             step: CentreVelocity::along(self.previous_pose, state.motion.centre, 1.0).velocity,
             share: self.open_share(state) * self.context.interval_ratio(),
-            weight: match self.context.previous {
-                Some(last) if observed - last.timestamp > MAX_KNOWN_GAP => 0.0,
-                _ if free => 1e-3,
-                _ => PRIOR_WEIGHT,
-            },
+            sigma_at_rest: MIN_SIGMA_PX,
+            weight: if is_free { 1e-3 } else { PRIOR_WEIGHT },
         }
     }
 

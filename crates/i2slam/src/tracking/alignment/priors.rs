@@ -4,8 +4,8 @@
 use i2slam_geometry::Tangent;
 use i2slam_odometry::alignment::{Equations, UNKNOWNS, VELOCITY, WHITE_BALANCE};
 
-/// Standard deviation of the velocity at rest [px].
-const MIN_SIGMA_PX: f64 = 0.05;
+/// Standard deviation of the velocity at rest where the motion since the last frame is known [px].
+pub(super) const MIN_SIGMA_PX: f64 = 0.05;
 /// Its growth with the motion since the last frame: across that motion, and along it, where the
 /// shutter time is uncertain.
 const SIGMA_RATIO_ACROSS: f64 = 0.1_f32 as f64;
@@ -23,6 +23,8 @@ pub(super) struct MotionPrior {
     pub(super) step: Tangent<f64>,
     /// Expected share `κ` of it during the exposure.
     pub(super) share: f64,
+    /// Standard deviation of the velocity at rest [px].
+    pub(super) sigma_at_rest: f64,
     /// Weight against single residuals.
     pub(super) weight: f64,
 }
@@ -68,7 +70,7 @@ impl MotionPrior {
     /// Length of the motion [px], and the precisions across and along it [1/px²].
     fn precisions(&self, step: &[f64; 6]) -> (f64, f64, f64) {
         let length = step.iter().map(|v| v * v).sum::<f64>().sqrt();
-        let precision = |ratio: f64| 1.0 / (MIN_SIGMA_PX + ratio * length).powi(2);
+        let precision = |ratio: f64| 1.0 / (self.sigma_at_rest + ratio * length).powi(2);
         (length, precision(SIGMA_RATIO_ACROSS), precision(SIGMA_RATIO_ALONG))
     }
 
@@ -150,6 +152,7 @@ mod tests {
                 pixels_per_unit: [130.0, 130.0, 130.0, 260.0, 260.0, 260.0],
                 step,
                 share: 0.4,
+                sigma_at_rest: MIN_SIGMA_PX,
                 weight: 200.0,
             };
             let velocity = tangent(2).to_array();
