@@ -87,7 +87,7 @@ pub(crate) struct Run {
     /// Seed of all random choices; the same seed gives the same bytes
     #[arg(long, value_name = "N")]
     pub(crate) seed: Option<u64>,
-    /// Memory of the run, about [GB]: pictures beyond a quarter of it wait in a file; no result depends on
+    /// Memory of the run, about [GB]: pictures beyond a sixth of it wait in a file; no result depends on
     /// it
     #[arg(long, value_name = "GB")]
     pub(crate) memory: Option<f64>,

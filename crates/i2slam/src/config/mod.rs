@@ -58,7 +58,7 @@ section! {
         preset: String,
         /// Seed of every random choice; the same seed gives the same bytes.
         seed: u64,
-        /// Memory of a run, about [GB]: pictures of past frames take a quarter of it, and those not used for
+        /// Memory of a run, about [GB]: pictures of past frames take a sixth of it, and those not used for
         /// longest wait in a scratch file. No result depends on it.
         memory: f64,
         /// Pictures before they are tracked.

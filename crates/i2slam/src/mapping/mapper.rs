@@ -80,6 +80,10 @@ pub(crate) trait Mapper: Send {
     ) {
     }
 
+    /// Removes what keyframes see through, by their depth; nothing in a map without parts that can be
+    /// removed.
+    fn remove_contradicted(&mut self, _context: &MappingContext<'_>) {}
+
     /// Changes log radiance by `change`, of the place of the frame that brought it and the radiance, and
     /// differences of log radiance by the factor `stretch`. Returns whether the map can do so.
     fn change_radiance(

@@ -252,8 +252,12 @@ impl Session {
     /// Final steps over all keyframes; where their poses are refined, in parts between which all are
     /// localised again.
     fn refine_all(&mut self, on_step: OnWatchedStep<'_>) -> Result<(), SettingsError> {
-        let refines_poses = self.source.is_some();
+        let (refines_poses, is_unordered) = (self.source.is_some(), self.is_unordered);
         let (mapper, _, mut context) = self.mapping();
+        if is_unordered {
+            // Others have come since that see the same places from elsewhere.
+            mapper.remove_contradicted(&context);
+        }
         let plan = mapper.plan_final(&mut context)?;
         if refines_poses && mapper.is_empty() {
             let reason =

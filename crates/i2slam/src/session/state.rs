@@ -13,7 +13,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 /// Share of pictures in the memory of a run: the map, its renders, points and tracks take the rest.
-const PICTURE_SHARE: f64 = 0.25;
+const PICTURE_SHARE: f64 = 1.0 / 6.0;
 
 /// Estimates, keyframes and responses of a session, and what mapping needs besides.
 pub(super) struct SessionState {

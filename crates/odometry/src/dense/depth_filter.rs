@@ -13,11 +13,13 @@ const MAX_RELATIVE_DIFFERENCE: f32 = 0.03;
 /// Views that must agree; one where only one or two see the pixel.
 const MIN_AGREEING_VIEWS: usize = 2;
 
-/// Averages inverse depths that enough `others` (with `other_from_keyframe`) confirm by variance.
+/// Averages inverse depths that enough `others` (with `other_from_keyframe`) confirm by variance. Of
+/// photographs, which see each place from all sides, more must confirm one than see through it.
 pub(super) fn fuse_consistent(
     camera: &Camera<f64>,
     own: &InverseDepthEstimate,
     others: &[(&InverseDepthEstimate, Pose<f64>)],
+    is_unordered: bool,
 ) -> InverseDepthEstimate {
     let (width, height) = (own.inverse_depth.width, own.inverse_depth.height);
     let mut out = InverseDepthEstimate {
@@ -31,7 +33,7 @@ pub(super) fn fuse_consistent(
         }
         let (u, v) = Camera::pixel_centre(pixel % width, pixel / width);
         let point = camera.unproject(u, v, 1.0 / f64::from(rho));
-        let (mut seen, mut agree) = (0, 0);
+        let (mut seen, mut agree, mut against) = (0, 0, 0);
         let (mut sum, mut weight) = (rho / variance, 1.0 / variance);
         for (other, other_from_own) in others {
             let there = *other_from_own * point;
@@ -53,13 +55,14 @@ pub(super) fn fuse_consistent(
                 .min(0.1 * due)
                 .max(MAX_RELATIVE_DIFFERENCE * due);
             if (found - due).abs() > most {
+                against += usize::from(is_unordered && found < due);
                 continue;
             }
             agree += 1;
             sum += (rho + (found - due) * slope) / its;
             weight += 1.0 / its;
         }
-        if agree >= MIN_AGREEING_VIEWS.min(seen) && agree > 0 {
+        if agree >= MIN_AGREEING_VIEWS.min(seen) && agree > against {
             out.inverse_depth.data[pixel] = sum / weight;
             // Neighbours share pictures: their errors are not independent.
             out.variance.data[pixel] = (1 + agree) as f32 / weight;
@@ -253,7 +256,7 @@ mod tests {
         let camera = Camera { width: 9, height: 9, fx: 9.0, fy: 9.0, cx: 4.5, cy: 4.5 };
         let (own, other) = (flat(1.0 / 2.0, 1e-4), flat(1.0 / 1.204, 9e-4));
         let forward = Pose::new(Rotation::identity(), Vec3::new(0.0, 0.0, -0.8));
-        fuse_consistent(&camera, &own, &[(&other, forward)])
+        fuse_consistent(&camera, &own, &[(&other, forward)], false)
     }
 
     /// Estimates are weighted by the variance of the depth, `z⁴` times that of its inverse.
@@ -268,6 +271,24 @@ mod tests {
         assert!(off.abs() < 2e-5, "{off}");
         let ratio = f64::from(found.variance.data[middle]) / variance;
         assert!((ratio - 1.0).abs() < 1e-4, "{ratio}");
+    }
+
+    /// Two views confirm a depth, two others see what lies behind it.
+    #[test]
+    fn photographs_that_see_through_a_depth_outvote_it() {
+        let camera = Camera { width: 9, height: 9, fx: 9.0, fy: 9.0, cx: 4.5, cy: 4.5 };
+        let (own, behind) = (flat(0.5, 1e-4), flat(0.25, 1e-4));
+        let middle = 4 * 9 + 4;
+        let fused = |others: &[&InverseDepthEstimate], is_unordered| {
+            let others: Vec<_> = others.iter().map(|other| (*other, Pose::identity())).collect();
+            fuse_consistent(&camera, &own, &others, is_unordered).inverse_depth.data[middle]
+        };
+        let even = [&own, &own, &behind, &behind];
+        assert_eq!(fused(&even, true), 0.0);
+        assert!((fused(&even, false) - 0.5).abs() < 1e-5);
+        assert!((fused(&even[..3], true) - 0.5).abs() < 1e-5);
+        let nearer = flat(1.0, 1e-4);
+        assert!((fused(&[&own, &own, &nearer, &nearer], true) - 0.5).abs() < 1e-5);
     }
 
     /// A spike that no other view sees is left out, a surface is not.

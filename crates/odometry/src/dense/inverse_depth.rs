@@ -20,7 +20,7 @@ const MAX_UPSAMPLED_STEP: f32 = 0.1;
 /// Mean cost that noise alone leaves.
 pub(super) const MIN_COST: f32 = 0.01;
 /// Cost above which a match has no value.
-const MAX_COST: f32 = 0.6;
+pub(super) const MAX_COST: f32 = 0.6;
 
 /// Largest relative standard deviation of a known inverse depth.
 const MAX_RELATIVE_DEVIATION: f32 = 0.1;

@@ -2,7 +2,8 @@
 //!
 //! A keyframe is matched with a few others by plane sweep: zero-mean normalised correlation of
 //! windows, independent of exposure and of a smooth response. Costs are aggregated semi-globally
-//! and refined twice around the result with windows that follow the surface. Depth that other
+//! and refined twice around the result with windows that follow the surface, for photographs by planes
+//! that pixels take over from each other ([`patch_match`]). Depth that other
 //! keyframes contradict is dropped; variances are inflated at depth edges.
 //!
 //! Measured depth is averaged with the readings of neighbouring keyframes in the same way. Readings
@@ -10,6 +11,7 @@
 
 mod depth_filter;
 mod inverse_depth;
+mod patch_match;
 mod picture_check;
 mod plane_sweep;
 mod semi_global;
@@ -24,16 +26,16 @@ use i2slam_geometry::{Camera, Image, Pose};
 use inverse_depth::{
     HALF_WINDOWS, InverseDepthEstimate, NeighbourView, estimate_inverse_depth, plane_sweep_at,
 };
+use patch_match::PatchMatch;
 use picture_check::{add_evidence_of, agree, evidence_against};
 use std::collections::BTreeMap;
 use std::sync::Arc;
+use view_selection::{KEYFRAMES, PHOTOGRAPHS, select_views};
 
 /// Largest difference between the numbers of a keyframe and of those it is matched with.
 pub const MAX_KEYFRAME_DISTANCE: usize = 8;
 /// Largest difference between the numbers of photographs that are matched.
 pub const MAX_PHOTOGRAPH_DISTANCE: usize = 40;
-/// Keyframes that one is matched with, and compared with for consistency.
-const MAX_VIEWS: usize = 5;
 /// Share of pixels without a reading from which on they are estimated from pictures: less is beside
 /// edges, where a sweep is less exact than the readings around.
 const MAX_MISSING_SHARE: f64 = 0.05;
@@ -104,6 +106,8 @@ pub struct DenseDepthEstimator {
     cancellation: CancellationToken,
     /// Largest difference between the numbers of a keyframe and of those it is matched with.
     reach: usize,
+    /// True if the keyframes are photographs in any order.
+    is_unordered: bool,
 }
 
 impl DenseDepthEstimator {
@@ -120,6 +124,7 @@ impl DenseDepthEstimator {
             evidence: BTreeMap::new(),
             cancellation: CancellationToken::default(),
             reach: MAX_KEYFRAME_DISTANCE,
+            is_unordered: false,
         }
     }
 
@@ -127,7 +132,7 @@ impl DenseDepthEstimator {
     /// those whose numbers differ by less, which bounds the memory.
     #[must_use]
     pub fn with_any_order(self) -> Self {
-        Self { reach: MAX_PHOTOGRAPH_DISTANCE, ..self }
+        Self { reach: MAX_PHOTOGRAPH_DISTANCE, is_unordered: true, ..self }
     }
 
     /// Uses measured depth with the deviations of `model`.
@@ -240,7 +245,7 @@ impl DenseDepthEstimator {
         }
         let own = self.estimates.get(&index)?;
         let known = self.relative_to(self.pose(index), others, &self.estimates);
-        Some(fuse_consistent(&self.camera, own, &known))
+        Some(fuse_consistent(&self.camera, own, &known, self.is_unordered))
     }
 
     /// Compares the readings of a keyframe with pictures of `others`; marks those that are contradicted.
@@ -373,7 +378,8 @@ impl DenseDepthEstimator {
         let near = near.saturating_sub(self.reach)..last;
         let others: Vec<(usize, Pose<f64>)> =
             near.filter(|i| Some(*i) != except).map(|i| (i, self.pose(i))).collect();
-        view_selection::select_views(&self.camera, world_from_camera, &others, depth, MAX_VIEWS)
+        let limits = if self.is_unordered { PHOTOGRAPHS } else { KEYFRAMES };
+        select_views(&self.camera, world_from_camera, &others, depth, limits)
     }
 
     /// Bounds of the inverse depth, from the landmarks.
@@ -401,13 +407,14 @@ impl DenseDepthEstimator {
         if others.is_empty() {
             return None;
         }
-        let found = estimate_inverse_depth(
-            &self.camera,
-            self.picture(index)?,
-            &others,
-            bounds,
-            &self.cancellation,
-        )?;
+        let picture = self.picture(index)?;
+        let found =
+            estimate_inverse_depth(&self.camera, picture, &others, bounds, &self.cancellation)?;
+        let found = match self.is_unordered {
+            true => PatchMatch::new(&self.camera, picture.finest(), &others, bounds)
+                .refine(&found.inverse_depth, &self.cancellation)?,
+            false => found,
+        };
         self.estimates.insert(index, found);
         self.matched.insert(index, chosen);
         Some(())

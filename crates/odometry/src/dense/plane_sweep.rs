@@ -8,10 +8,11 @@ use rayon::prelude::*;
 const LABELS_PER_BATCH: usize = 16;
 
 /// A picture in which pixel `(u, v)` at inverse depth `ρ` is at `turn (u, v, 1) + ρ shift`.
-struct SweptView<'a> {
-    image: &'a Image<f32>,
-    turn: [Vec3<f32>; 3],
-    shift: Vec3<f32>,
+pub(super) struct SweptView<'a> {
+    pub(super) image: &'a Image<f32>,
+    /// Columns of `turn`.
+    pub(super) turn: [Vec3<f32>; 3],
+    pub(super) shift: Vec3<f32>,
 }
 
 /// A keyframe and its neighbours on one pyramid level.
@@ -41,18 +42,9 @@ impl<'a> PlaneSweep<'a> {
         half_window: usize,
         others: &[(&'a Image<f32>, Pose<f64>)],
     ) -> Self {
-        let neighbour = |(image, pose): &(&'a Image<f32>, Pose<f64>)| {
-            let pixels = |p: Vec3<f64>| {
-                Vec3::new(camera.fx * p.x + camera.cx * p.z, camera.fy * p.y + camera.cy * p.z, p.z)
-            };
-            let column = |u: f64, v: f64| pixels(pose.rotation.rotate(camera.unproject(u, v, 1.0)));
-            let origin = column(0.0, 0.0);
-            let turn = [column(1.0, 0.0) - origin, column(0.0, 1.0) - origin, origin];
-            SweptView { image, turn: turn.map(Vec3::cast), shift: pixels(pose.translation).cast() }
-        };
         Self {
             windows: WindowStatistics::new(keyframe.clone(), half_window),
-            neighbours: others.iter().map(neighbour).collect(),
+            neighbours: others.iter().map(|(o, pose)| SweptView::new(camera, o, pose)).collect(),
         }
     }
 
@@ -127,7 +119,7 @@ struct Scratch {
 const BLOCK: usize = 64;
 
 /// Cost of a neighbour that does not see the pixel: above all others.
-const UNSEEN: f32 = 2.0;
+pub(super) const UNSEEN: f32 = 2.0;
 
 /// Writes the mean over the better half of the costs of each pixel, 1 where no neighbour sees it.
 #[inline(always)]
@@ -170,7 +162,24 @@ fn sort_pairs(lower: &mut [f32; BLOCK], upper: &mut [f32; BLOCK]) {
     }
 }
 
-impl SweptView<'_> {
+impl<'a> SweptView<'a> {
+    /// A picture with `other_from_keyframe`; both have the intrinsics of `camera`.
+    pub(super) fn new(camera: &Camera<f64>, image: &'a Image<f32>, pose: &Pose<f64>) -> Self {
+        let pixels = |p: Vec3<f64>| {
+            Vec3::new(camera.fx * p.x + camera.cx * p.z, camera.fy * p.y + camera.cy * p.z, p.z)
+        };
+        let column = |u: f64, v: f64| pixels(pose.rotation.rotate(camera.unproject(u, v, 1.0)));
+        let origin = column(0.0, 0.0);
+        let turn = [column(1.0, 0.0) - origin, column(0.0, 1.0) - origin, origin];
+        Self { image, turn: turn.map(Vec3::cast), shift: pixels(pose.translation).cast() }
+    }
+
+    /// A pixel's point at an inverse depth, in homogeneous pixels of the view.
+    pub(super) fn centre(&self, [column, row]: [usize; 2], inverse_depth: f32) -> Vec3<f32> {
+        let [by_u, by_v, origin] = self.turn;
+        let (u, v) = (column as f32 + 0.5, row as f32 + 0.5);
+        origin + by_u * u + by_v * v + self.shift * inverse_depth
+    }
     /// Writes the neighbour's picture warped to the keyframe, and whether it sees each pixel.
     #[inline(always)]
     fn warp_to_keyframe(&self, inverse_depth: &[f32], offset: f32, scratch: &mut Scratch) {
@@ -209,7 +218,7 @@ impl SweptView<'_> {
 }
 
 /// Variance of noise in a window of an 8-bit picture: windows with less contrast match nothing.
-const WINDOW_NOISE_VARIANCE: f32 = 5e-5;
+pub(super) const WINDOW_NOISE_VARIANCE: f32 = 5e-5;
 
 /// A picture with mean and deviation of the window around every pixel.
 struct WindowStatistics {

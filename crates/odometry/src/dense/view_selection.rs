@@ -4,28 +4,38 @@ use i2slam_geometry::{Camera, Pose};
 
 /// Best parallax [rad]: less is imprecise, more shows other surfaces.
 const BEST_PARALLAX: f64 = 0.1;
-/// Smallest ratio of the picture that both see.
-const MIN_OVERLAP: f64 = 0.5;
+/// How many views one is matched with, and compared with for consistency.
+#[derive(Clone, Copy)]
+pub(super) struct ViewLimits {
+    count: usize,
+    /// Smallest ratio of the picture that both see.
+    overlap: f64,
+}
 
-/// The `count` most useful of `others` for a keyframe whose median depth is `depth`, best first.
+/// Those of keyframes of a film.
+pub(super) const KEYFRAMES: ViewLimits = ViewLimits { count: 5, overlap: 0.5 };
+/// Those of photographs: less is seen by two, and more of it from elsewhere.
+pub(super) const PHOTOGRAPHS: ViewLimits = ViewLimits { count: 8, overlap: 0.3 };
+
+/// The most useful of `others` for a keyframe whose median depth is `depth`, best first.
 pub(super) fn select_views(
     camera: &Camera<f64>,
     keyframe: Pose<f64>,
     others: &[(usize, Pose<f64>)],
     depth: f64,
-    count: usize,
+    limits: ViewLimits,
 ) -> Vec<usize> {
     let worth = |pose: &Pose<f64>| {
         let parallax = (pose.translation - keyframe.translation).norm() / depth;
         let overlap = overlap_ratio(camera, keyframe, *pose, depth);
         let ratio = parallax / BEST_PARALLAX;
-        (overlap >= MIN_OVERLAP).then(|| overlap * ratio.min(ratio.recip()).max(0.0))
+        (overlap >= limits.overlap).then(|| overlap * ratio.min(ratio.recip()).max(0.0))
     };
     let mut worths: Vec<(f64, usize)> =
         others.iter().filter_map(|(index, pose)| Some((worth(pose)?, *index))).collect();
     worths.retain(|(worth, _)| *worth > 0.0);
     worths.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
-    worths.truncate(count);
+    worths.truncate(limits.count);
     worths.into_iter().map(|(_, index)| index).collect()
 }
 
@@ -61,6 +71,7 @@ mod tests {
             (4, at(0.2, 0.0)),
             (5, at(0.0, 0.0)),
         ];
-        assert_eq!(select_views(&camera, at(0.0, 0.0), &others, 2.0, 3), [4, 2, 1]);
+        let three = ViewLimits { count: 3, overlap: 0.5 };
+        assert_eq!(select_views(&camera, at(0.0, 0.0), &others, 2.0, three), [4, 2, 1]);
     }
 }

@@ -138,6 +138,50 @@ pub(super) fn outside_surface(
     map.means.iter().map(|mean| !is_on_surface(mean)).collect()
 }
 
+/// Ratio of a Gaussian's depth to that of the surface behind it below which a camera sees through it.
+const MAX_TRANSPARENT_RATIO: f64 = 0.95;
+/// Cameras that must see through a Gaussian for it to be removed.
+const MIN_VOTES_AGAINST: u32 = 2;
+
+/// For every Gaussian, the number of cameras that see it on a surface, and of those that see through it.
+pub(super) struct SurfaceVotes {
+    on_surface: Vec<u32>,
+    against: Vec<u32>,
+}
+
+impl SurfaceVotes {
+    pub(super) fn new(count: usize) -> Self {
+        Self { on_surface: vec![0; count], against: vec![0; count] }
+    }
+
+    /// Adds those of a camera that sees surfaces at `depth`, 0 where there is none.
+    pub(super) fn add(
+        &mut self,
+        map: &GaussianMap,
+        (camera, camera_from_world, depth): (&Camera<f64>, Pose<f64>, &Image<f32>),
+    ) {
+        let votes = self.on_surface.iter_mut().zip(&mut self.against);
+        for (mean, (on_surface, against)) in map.means.iter().zip(votes) {
+            let point = camera_from_world * Vec3::from_array(mean.map(f64::from));
+            let (u, v) = camera.project(point);
+            if point.z <= 0.0 || !camera.contains(u, v, 0.0) {
+                continue;
+            }
+            let surface = f64::from(depth.at(0, u as usize, v as usize));
+            let is_transparent = point.z < MAX_TRANSPARENT_RATIO * surface;
+            let is_on_surface = !is_transparent && point.z <= (1.0 + SURFACE_TOLERANCE) * surface;
+            *against += u32::from(is_transparent);
+            *on_surface += u32::from(is_on_surface);
+        }
+    }
+
+    /// False for each Gaussian that enough cameras see through, and more than see it on a surface.
+    pub(super) fn keep(&self) -> Vec<bool> {
+        let votes = self.on_surface.iter().zip(&self.against);
+        votes.map(|(on, against)| *against < MIN_VOTES_AGAINST || against <= on).collect()
+    }
+}
+
 /// Adds a ball for every marked pixel.
 pub(super) fn push_balls(
     map: &mut GaussianMap,
@@ -211,4 +255,38 @@ pub(super) fn radiance_of_point(source: &SourceFrame<'_>, point: Vec3<f64>) -> O
 
 pub(super) fn logit(share: f32) -> f32 {
     (share / (1.0 - share)).ln()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const CAMERA: Camera<f64> = Camera { width: 9, height: 9, fx: 9.0, fy: 9.0, cx: 4.5, cy: 4.5 };
+
+    /// Whether a ball at depth 2 stays, for cameras at the origin that see surfaces at some depths.
+    fn stays(surfaces: &[f32]) -> bool {
+        let mut map = GaussianMap::new(Shape::Isotropic, ColourActivation::Linear);
+        map.push(Gaussian {
+            mean: [0.0, 0.0, 2.0],
+            log_scale: [-3.0; 3],
+            rotation: [1.0, 0.0, 0.0, 0.0],
+            opacity_logit: 1.0,
+            colour: [0.5; 3],
+        });
+        let mut votes = SurfaceVotes::new(1);
+        for surface in surfaces {
+            let mut depth = Image::new(9, 9, 1);
+            depth.data.fill(*surface);
+            votes.add(&map, (&CAMERA, Pose::identity(), &depth));
+        }
+        votes.keep()[0]
+    }
+
+    #[test]
+    fn what_more_cameras_see_through_than_see_is_removed() {
+        assert!(stays(&[]) && stays(&[3.0]) && stays(&[3.0, 3.0, 2.0, 2.03]));
+        assert!(!stays(&[3.0, 3.0, 2.0]) && !stays(&[3.0, 3.0]));
+        // Nothing is known there, and it is hidden.
+        assert!(stays(&[0.0, 0.0]) && stays(&[1.0, 1.0]));
+    }
 }

@@ -23,7 +23,8 @@ use crate::reconstruction::Map;
 use crate::tracking::{TrackingContext, TrackingResult};
 use anchors::Anchors;
 use density_control::{
-    SourceFrame, max_scale, open_pixels, outside_surface, prune, push_balls, unexplained_pixels,
+    SourceFrame, SurfaceVotes, max_scale, open_pixels, outside_surface, prune, push_balls,
+    unexplained_pixels,
 };
 use flat_gaussians::{partition, push_flat_gaussians};
 use i2slam_formation::{CameraResponse, CentreVelocity, Formation, ResponseCurve, TrajectoryScale};
@@ -383,6 +384,21 @@ impl Mapper for GaussianMapper {
         self.current.map.retain(&keep);
         self.retain(&keep);
         self.extend(context, keyframe, &was_open);
+    }
+
+    fn remove_contradicted(&mut self, context: &MappingContext<'_>) {
+        let mut votes = SurfaceVotes::new(self.current.map.len());
+        for keyframe in context.keyframes {
+            let camera_from_world = context.frames[keyframe.frame].depth_pose().inverse();
+            let observation = keyframe.observation.get();
+            let view = (context.camera, camera_from_world, &*observation.depth);
+            votes.add(&self.current.map, view);
+        }
+        let keep = votes.keep();
+        if keep.contains(&false) {
+            self.current.map.retain(&keep);
+            self.retain(&keep);
+        }
     }
 
     fn change_radiance(
