@@ -133,7 +133,7 @@ pub fn load(folder: &Path) -> Result<Reconstruction, ResultError> {
     })
 }
 
-/// Whether the `trajectory.txt` of a folder has other poses than its reconstruction, which is loaded from
+/// True if the `trajectory.txt` of a folder has other poses than its reconstruction, which is loaded from
 /// `trajectory_shutter.txt`; a folder without the file has no others.
 pub fn is_trajectory_edited(folder: &Path, reconstruction: &Reconstruction) -> bool {
     let path = folder.join("trajectory.txt");

@@ -37,7 +37,7 @@ const MAX_TILT: f32 = 4.0;
 /// Motion in the views over which the sharpness of a minimum is measured [px].
 const MINIMUM_REACH: f32 = 0.7;
 /// Views that are compared, at most.
-const MAX_VIEWS: usize = 8;
+pub(super) const MAX_VIEWS: usize = 8;
 /// Distance of a cost by half of the views from the least so far, beyond which the others are not asked.
 const FAR_ABOVE: f32 = 0.5;
 /// First disturbance of an inverse depth, relative, and of a tangent; both halve from round to round.

@@ -1,12 +1,14 @@
 //! Selection of the keyframes that a keyframe is matched with.
 
+use super::patch_match::MAX_VIEWS;
 use i2slam_geometry::{Camera, Pose};
 
 /// Best parallax [rad]: less is imprecise, more shows other surfaces.
 const BEST_PARALLAX: f64 = 0.1;
-/// How many views one is matched with, and compared with for consistency.
+/// Limits of the views that a keyframe is matched with, and compared with for consistency.
 #[derive(Clone, Copy)]
 pub(super) struct ViewLimits {
+    /// Their number, at most.
     count: usize,
     /// Smallest ratio of the picture that both see.
     overlap: f64,
@@ -15,7 +17,7 @@ pub(super) struct ViewLimits {
 /// Those of keyframes of a film.
 pub(super) const KEYFRAMES: ViewLimits = ViewLimits { count: 5, overlap: 0.5 };
 /// Those of photographs: less is seen by two, and more of it from elsewhere.
-pub(super) const PHOTOGRAPHS: ViewLimits = ViewLimits { count: 8, overlap: 0.3 };
+pub(super) const PHOTOGRAPHS: ViewLimits = ViewLimits { count: MAX_VIEWS, overlap: 0.3 };
 
 /// The most useful of `others` for a keyframe whose median depth is `depth`, best first.
 pub(super) fn select_views(

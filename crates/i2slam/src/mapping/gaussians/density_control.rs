@@ -263,7 +263,7 @@ mod tests {
 
     const CAMERA: Camera<f64> = Camera { width: 9, height: 9, fx: 9.0, fy: 9.0, cx: 4.5, cy: 4.5 };
 
-    /// Whether a ball at depth 2 stays, for cameras at the origin that see surfaces at some depths.
+    /// True if a ball at depth 2 stays, for cameras at the origin that see surfaces at some depths.
     fn stays(surfaces: &[f32]) -> bool {
         let mut map = GaussianMap::new(Shape::Isotropic, ColourActivation::Linear);
         map.push(Gaussian {
