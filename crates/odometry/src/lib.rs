@@ -135,6 +135,7 @@ mod pose_deviation;
 mod result;
 
 mod dense;
+mod relative_blur;
 
 pub use dense::{
     DenseDepth, DenseDepthEstimator, KeyframePictures, MAX_KEYFRAME_DISTANCE,
@@ -150,6 +151,7 @@ pub use intrinsics::focal_length::Intrinsics;
 pub use online::online_map::TrackingStatus;
 pub use pose_deviation::{MIN_NEIGHBOURS, NEIGHBOUR_WINDOW, PoseDeviation};
 pub use progress::{Progress, Stage};
+pub use relative_blur::photograph_motions;
 pub use result::{Keyframe, Reconstruction, SparseDepth};
 pub use warning::Warning;
 

@@ -16,7 +16,7 @@ pub use refined_import::RefinedImport;
 pub(crate) use row_rectification::project_rolling;
 
 use i2slam_dataset::Frame;
-use i2slam_geometry::{Camera, Image, Pose};
+use i2slam_geometry::{Camera, Image, Pose, Tangent};
 use std::error::Error;
 use std::sync::Arc;
 
@@ -40,6 +40,8 @@ pub struct PosedKeyframe {
     pub before: Option<(f64, Pose<f64>)>,
     /// Time stamp [s] and pose of the video frame after it, where known.
     pub after: Option<(f64, Pose<f64>)>,
+    /// Motion from start to end of the exposure, in the camera, where its picture tells it.
+    pub motion: Option<Tangent<f64>>,
     /// Estimated depth, where known.
     pub depth: Option<EstimatedDepth>,
     /// Whether later mapping steps may render it again. A frame between keyframes is rendered only
@@ -51,8 +53,17 @@ impl PosedKeyframe {
     /// A keyframe at its pose [world from camera]; depth and adjacent frames are unknown.
     pub fn from_frame(frame: Frame, world_from_camera: Pose<f64>) -> Self {
         let Frame { index, timestamp, colour, .. } = frame;
-        let (before, after, depth, is_keyframe) = (None, None, None, true);
-        Self { index, timestamp, colour, world_from_camera, before, after, depth, is_keyframe }
+        Self {
+            index,
+            timestamp,
+            colour,
+            world_from_camera,
+            before: None,
+            after: None,
+            motion: None,
+            depth: None,
+            is_keyframe: true,
+        }
     }
 }
 

@@ -8,10 +8,10 @@ use super::delivery::{
 use super::{KeyframeSource, PictureError, PosedKeyframe};
 use i2slam_compute::CancellationToken;
 use i2slam_dataset::Frame;
-use i2slam_geometry::{Camera, Pose, StampedPose};
+use i2slam_geometry::{Camera, Pose, StampedPose, Tangent};
 use i2slam_odometry::{
     DenseDepthEstimator, KeyframePictures, MAX_KEYFRAME_DISTANCE, MAX_PHOTOGRAPH_DISTANCE,
-    PoseDeviation, Reconstruction,
+    PoseDeviation, Reconstruction, photograph_motions,
 };
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use thiserror::Error;
@@ -51,6 +51,8 @@ pub struct MonocularSource<L> {
     /// Position in the sequence of every picture that the front end accepted.
     positions: Vec<usize>,
     refused: Vec<(usize, PictureError)>,
+    /// Motions of photographs during their exposures, where these were asked for.
+    motions: Vec<Option<Tangent<f64>>>,
     /// Numbers of the keyframes that are still to be delivered.
     coming: VecDeque<usize>,
     between: FramesBetween,
@@ -90,8 +92,8 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
         let positions_of_keyframes = keyframe_positions(&reconstruction, &positions);
         let reader = PictureReader::new(positions_of_keyframes, load, reconstruction.is_unordered);
         let coming = (0..reconstruction.keyframes.len()).collect();
-        let (dense, between) = (None, FramesBetween::default());
-        Self { reconstruction, dense, reader, positions, refused, coming, between }
+        let (dense, motions, between) = (None, Vec::new(), FramesBetween::default());
+        Self { reconstruction, dense, reader, positions, refused, motions, coming, between }
     }
 
     /// Replaces the pictures by those of another size [px] without lens distortion, as camera and
@@ -101,11 +103,20 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
     where
         R: FnMut(usize) -> Result<Frame, PictureError>,
     {
-        let Self { reconstruction, dense, positions, refused, coming, between, .. } = self;
+        let Self { reconstruction, dense, positions, refused, motions, coming, between, .. } = self;
         let reconstruction = reconstruction.resized(width, height);
         let positions_of_keyframes = keyframe_positions(&reconstruction, &positions);
         let reader = PictureReader::new(positions_of_keyframes, load, reconstruction.is_unordered);
-        MonocularSource { reconstruction, dense, reader, positions, refused, coming, between }
+        MonocularSource {
+            reconstruction,
+            dense,
+            reader,
+            positions,
+            refused,
+            motions,
+            coming,
+            between,
+        }
     }
 
     /// Delivers dense depth instead of landmarks alone, until `cancellation` is cancelled.
@@ -119,6 +130,18 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
             true => dense.with_any_order(),
             false => dense,
         });
+        self
+    }
+
+    /// Delivers photographs with their motions during the exposure; frames of a film move as their
+    /// neighbours tell.
+    #[must_use]
+    pub fn with_photograph_motions(mut self, cancellation: &CancellationToken) -> Self {
+        let Self { reconstruction: found, reader, motions, .. } = &mut self;
+        if found.is_unordered {
+            let mut load = |number: usize| Some(reader.read_apart(number)?.colour);
+            *motions = photograph_motions(&found.camera, &found.keyframes, &mut load, cancellation);
+        }
         self
     }
 
@@ -250,8 +273,9 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
         });
         let size = (frame.colour.width, frame.colour.height);
         let depth = Some(depth(dense, keyframe, size));
+        let motion = self.motions.get(number).copied().flatten();
         let posed = posed(found, keyframe.index, frame, keyframe.world_from_camera);
-        Some(Ok(PosedKeyframe { depth, ..posed }))
+        Some(Ok(PosedKeyframe { depth, motion, ..posed }))
     }
 
     /// A frame between keyframes.
@@ -340,6 +364,11 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> PictureReader<L> {
                 self.pictures.remove(&keyframe).unwrap_or_else(|| Err("it was read before".into()))
             }
         }
+    }
+
+    /// The picture of a keyframe, if readable, apart from those that are read in order.
+    pub(super) fn read_apart(&mut self, keyframe: usize) -> Option<Frame> {
+        (self.load)(*self.positions.get(keyframe)?).ok()
     }
 
     fn read_up_to(&mut self, keyframe: usize) {

@@ -8,9 +8,10 @@ use super::monocular::PictureReader;
 use super::{EstimatedDepth, KeyframeSource, MonocularSource, PictureError, PosedKeyframe};
 use i2slam_compute::{CancellationToken, correlation};
 use i2slam_dataset::Frame;
-use i2slam_geometry::{Camera, Image, Pose};
+use i2slam_geometry::{Camera, Image, Pose, Tangent};
 use i2slam_odometry::{
     DenseDepthEstimator, Keyframe, KeyframePictures, PosedView, Reconstruction, SparseDepth,
+    photograph_motions,
 };
 use std::sync::Arc;
 
@@ -38,6 +39,8 @@ pub struct RefinedImport<L> {
     has_depth: bool,
     /// True if the keyframes are photographs.
     is_unordered: bool,
+    /// Motions of photographs during their exposures.
+    motions: Vec<Option<Tangent<f64>>>,
 }
 
 impl<L: FnMut(usize) -> Result<Frame, PictureError>> RefinedImport<L> {
@@ -70,9 +73,10 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> RefinedImport<L> {
             world_from_camera: *pose,
             landmarks: path.landmarks_near(place),
         });
-        let dense =
-            DenseDepthEstimator::new(camera, views.collect()).with_cancellation(cancellation);
+        let dense = DenseDepthEstimator::new(camera, views.collect());
         let dense = if found.is_unordered { dense.with_any_order() } else { dense };
+        let motions = path.photograph_motions(poses.len(), &mut load, &cancellation);
+        let dense = dense.with_cancellation(cancellation);
         let reader = PictureReader::new((0..poses.len()).collect(), load, found.is_unordered);
         Some(Self {
             camera,
@@ -84,6 +88,7 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> RefinedImport<L> {
             is_refined,
             has_depth: found.depth_model.is_some(),
             is_unordered: found.is_unordered,
+            motions,
         })
     }
 
@@ -113,6 +118,7 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> KeyframeSource for RefinedI
 
     fn next_keyframe(&mut self) -> Option<Result<PosedKeyframe, PictureError>> {
         let (number, world_from_camera) = (self.next, *self.poses.get(self.next)?);
+        let motion = self.motions.get(number).copied().flatten();
         self.next += 1;
         let seen = match self.reader.next(number) {
             Ok(picture) => picture,
@@ -121,7 +127,7 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> KeyframeSource for RefinedI
         if let Some(measured) = &seen.depth {
             let depth = EstimatedDepth { depth: (*measured.image).clone(), variance: None };
             let keyframe = PosedKeyframe::from_frame(seen, world_from_camera);
-            return Some(Ok(PosedKeyframe { depth: Some(depth), ..keyframe }));
+            return Some(Ok(PosedKeyframe { depth: Some(depth), motion, ..keyframe }));
         }
         let mut picture = |k: usize| {
             let colour = Arc::clone(&self.reader.picture(k)?.colour);
@@ -130,6 +136,7 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> KeyframeSource for RefinedI
         let depth = self.dense.estimate(number, &mut picture);
         Some(Ok(PosedKeyframe {
             depth: depth.map(|d| EstimatedDepth { depth: d.depth, variance: Some(d.variance) }),
+            motion,
             ..PosedKeyframe::from_frame(seen, world_from_camera)
         }))
     }
@@ -177,6 +184,23 @@ impl<'a> OdometryPath<'a> {
         nearest.map_or_else(Vec::new, |(_, keyframe)| {
             keyframe.depths.iter().map(|point| self.scale * point.depth).collect()
         })
+    }
+
+    /// Motions of photographs during their exposures, by their index among `count` imported keyframes.
+    fn photograph_motions(
+        &self,
+        count: usize,
+        load: &mut dyn FnMut(usize) -> Result<Frame, PictureError>,
+        cancellation: &CancellationToken,
+    ) -> Vec<Option<Tangent<f64>>> {
+        let mut motions = vec![None; count];
+        if self.found.is_unordered {
+            let Reconstruction { camera, keyframes, .. } = self.found;
+            let mut load = |number: usize| Some(load(self.places[number]).ok()?.colour);
+            let found = photograph_motions(camera, keyframes, &mut load, cancellation);
+            self.places.iter().zip(found).for_each(|(place, motion)| motions[*place] = motion);
+        }
+        motions
     }
 
     /// Mean correlation of patches around landmarks with the next keyframe, for two `paths`.

@@ -23,11 +23,13 @@ pub(super) fn observations(views: &[Keyframe]) -> Vec<Arc<Observation>> {
 }
 
 /// Video frames before and after a keyframe where known: time stamp [s], and pose relative to the
-/// keyframe (`keyframe_from_other`), which stays when the keyframe moves.
+/// keyframe (`keyframe_from_other`), which stays when the keyframe moves; of a photograph its motion.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct AdjacentFrames {
     pub(crate) before: Option<(f64, Pose<f64>)>,
     pub(crate) after: Option<(f64, Pose<f64>)>,
+    /// Motion during the exposure, where the picture alone tells it.
+    pub(crate) motion: Option<Tangent<f64>>,
 }
 
 /// Time before a photograph at which its camera was at its place [s]: so long ago that it tells nothing of
@@ -35,17 +37,18 @@ pub(crate) struct AdjacentFrames {
 const TIME_AT_REST: f64 = 1e6;
 
 impl AdjacentFrames {
-    /// Of a photograph, whose motion starts at rest.
-    pub(crate) fn at_rest(timestamp: f64) -> Self {
-        Self { before: Some((timestamp - TIME_AT_REST, Pose::identity())), after: None }
+    /// Of a photograph, which has no neighbours in time.
+    pub(crate) fn of_photograph(timestamp: f64, motion: Option<Tangent<f64>>) -> Self {
+        let before = Some((timestamp - TIME_AT_REST, Pose::identity()));
+        Self { before, after: None, motion }
     }
 
     /// One known neighbour, before or after `frame`.
     pub(crate) fn from_neighbour(frame: &FrameEstimate, other: &FrameEstimate) -> Self {
         let relative = Some((other.timestamp, frame.middle().inverse() * other.middle()));
         match other.timestamp < frame.timestamp {
-            true => Self { before: relative, after: None },
-            false => Self { before: None, after: relative },
+            true => Self { before: relative, ..Self::default() },
+            false => Self { after: relative, ..Self::default() },
         }
     }
 

@@ -127,7 +127,10 @@ pub(super) fn from_odometry(
         None => source,
     };
     let (count, keyframes) = (source.remaining(), source.reconstruction().keyframes.len());
-    let source = Box::new(source.with_dense_depth(context.cancellation.clone()));
+    let source = source
+        .with_photograph_motions(&context.cancellation)
+        .with_dense_depth(context.cancellation.clone());
+    let source = Box::new(source);
     Ok(Input {
         between,
         path,

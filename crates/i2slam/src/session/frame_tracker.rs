@@ -7,7 +7,7 @@ use crate::objective::Observation;
 use crate::reconstruction::FrameEstimate;
 use crate::tracking::{ExpectedView, SequenceReadout, TrackingContext};
 use i2slam_formation::TrajectoryScale;
-use i2slam_geometry::Image;
+use i2slam_geometry::{Image, Tangent};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -29,14 +29,14 @@ impl FrameTracker {
     }
 
     /// Moves `estimate` to where its picture, without depth, fits the map best, with motion during
-    /// exposure and tone. `previous` is the frame before it if known; the losses of `others` set
-    /// what counts as a good fit. Returns whether it was found; a frame that was not stays.
+    /// exposure and tone. `previous` is the frame before it if known, `motion` that during its exposure if
+    /// its picture tells it; the losses of `others` set what counts as a good fit. Returns whether it was found; a frame that was not stays.
     pub(super) fn localize(
         &mut self,
         mapper: &mut dyn Mapper,
         context: &MappingContext<'_>,
         (estimate, colour): (&mut FrameEstimate, &Arc<Image<f32>>),
-        previous: Option<&FrameEstimate>,
+        (previous, motion): (Option<&FrameEstimate>, Option<Tangent<f64>>),
         others: &[FrameEstimate],
     ) -> bool {
         let clock = Instant::now();
@@ -53,6 +53,7 @@ impl FrameTracker {
             frames: others,
             previous,
             before_previous: None,
+            motion,
             expected: Some(ExpectedView { world_from_camera: expected, render: &render }),
             keyframe: None,
             white_balance: context.white_balance,
@@ -90,7 +91,8 @@ impl FrameTracker {
             };
             let observation = keyframe.observation.get();
             let frame = (&mut estimate, &observation.colour);
-            self.localize(mapper, context, frame, previous.as_ref(), others);
+            let known = (previous.as_ref(), keyframe.adjacent.motion);
+            self.localize(mapper, context, frame, known, others);
             if keyframe.frame == context.gauge_frame(keyframe) {
                 estimate.tone = tone;
             }

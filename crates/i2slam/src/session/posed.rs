@@ -9,7 +9,7 @@ use crate::keyframes::{EstimatedDepth, PosedKeyframe};
 use crate::mapping::{AdjacentFrames, Keyframe};
 use crate::objective::Observation;
 use crate::reconstruction::FrameEstimate;
-use i2slam_formation::{FrameTone, ShutterPoses};
+use i2slam_formation::{CentreVelocity, FrameTone, ShutterPoses};
 use i2slam_geometry::{Image, Pose, Tangent};
 use i2slam_odometry::blank_reason;
 use std::collections::{BTreeMap, BTreeSet};
@@ -89,8 +89,8 @@ impl Session {
         let relative = |(timestamp, pose)| (timestamp, keyframe_from_source * pose);
         let (before, after) = (keyframe.before.map(relative), keyframe.after.map(relative));
         let adjacent = match self.is_unordered {
-            true => AdjacentFrames::at_rest(keyframe.timestamp),
-            false => AdjacentFrames { before, after },
+            true => AdjacentFrames::of_photograph(keyframe.timestamp, keyframe.motion),
+            false => AdjacentFrames { before, after, motion: keyframe.motion },
         };
         let is_keyframe = keyframe.is_keyframe;
         if self.position_of(keyframe.index).is_ok() {
@@ -124,7 +124,8 @@ impl Session {
             let (mapper, tracker, context) = self.mapping();
             let frame = (&mut estimate, &observation.colour);
             let others = &context.frames[..position];
-            tracker.localize(mapper, &context, frame, previous.as_ref(), others);
+            let known = (previous.as_ref(), keyframe.adjacent.motion);
+            tracker.localize(mapper, &context, frame, known, others);
             self.state.frames[position] = estimate;
         }
         if self.state.frames[position].keyframe {
@@ -194,7 +195,12 @@ impl Session {
             let adjacent = AdjacentFrames::from_neighbour(&estimate, previous?);
             adjacent.motion_per_interval(timestamp, self.frame_rate)
         };
-        if let Some(motion) = known.or_else(from_previous) {
+        if let Some(motion) = adjacent.motion {
+            let centre = estimate.middle();
+            let is_blurred = self.config.formation.blur;
+            let velocity = if is_blurred { motion } else { Tangent::zero() };
+            estimate.shutter = CentreVelocity { centre, velocity }.into();
+        } else if let Some(motion) = known.or_else(from_previous) {
             estimate.shutter = self.initial_shutter(&estimate, motion);
         }
         (estimate, observation)
@@ -246,7 +252,7 @@ impl Session {
     /// A frame that does not fit the camera or has no finite pose.
     pub fn localize(&mut self, frame: PosedKeyframe) -> Result<&FrameEstimate, SessionError> {
         self.check(&frame)?;
-        let PosedKeyframe { index, timestamp, colour, world_from_camera, .. } = frame;
+        let PosedKeyframe { index, timestamp, colour, world_from_camera, motion, .. } = frame;
         let (known, place) = match self.position_of(index) {
             Ok(known) => (true, known),
             Err(place) => (false, place),
@@ -262,7 +268,8 @@ impl Session {
         let previous = previous.map(|i| self.state.frames[i].clone());
         let (mapper, tracker, context) = self.mapping();
         let frame = (&mut estimate, &colour);
-        if !tracker.localize(mapper, &context, frame, previous.as_ref(), context.frames) {
+        let neighbour = (previous.as_ref(), motion);
+        if !tracker.localize(mapper, &context, frame, neighbour, context.frames) {
             let text = "not found in the map: its pose is that of the front end";
             self.state.warn(index, text);
         }

@@ -32,6 +32,8 @@ pub(crate) struct TrackingContext<'a> {
     pub(crate) previous: Option<&'a FrameEstimate>,
     /// The frame before that.
     pub(crate) before_previous: Option<&'a FrameEstimate>,
+    /// Motion during the exposure, where the picture alone tells it.
+    pub(crate) motion: Option<Tangent<f64>>,
     /// The view predicted by another source than constant velocity.
     pub(crate) expected: Option<ExpectedView<'a>>,
     /// The last keyframe and its world-from-camera pose when its depth was taken.

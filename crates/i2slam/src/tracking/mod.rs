@@ -15,7 +15,7 @@ pub(crate) use readout::SequenceReadout;
 use crate::config::{FormationConfig, TrackingMethod};
 use crate::objective::{FrameObjective, Observation, Sampling, blur_length};
 use context::{PredictedMotion, TrackingState};
-use i2slam_formation::{CameraResponse, FrameTone, ShutterPoses, TrajectoryScale};
+use i2slam_formation::{CameraResponse, CentreVelocity, FrameTone, ShutterPoses, TrajectoryScale};
 use i2slam_geometry::Camera;
 use i2slam_radiance::RadianceMap;
 
@@ -41,7 +41,10 @@ pub(crate) fn track<M: RadianceMap>(
         false => 0.0,
     };
     let mut state = TrackingState {
-        motion: predicted.during_exposure(initial_split),
+        motion: match context.motion.filter(|_| context.config.formation.blur) {
+            Some(velocity) => CentreVelocity { centre: predicted.pose, velocity },
+            None => predicted.during_exposure(initial_split),
+        },
         readout: context.readout.seconds * context.frame_rate / open_share,
         tone,
         response: response.cloned(),

@@ -15,7 +15,7 @@ mod patch_match;
 mod picture_check;
 mod plane_sweep;
 mod semi_global;
-mod view_selection;
+pub(crate) mod view_selection;
 
 use crate::depth::registration::register_depth;
 use crate::depth::sensor_model::DepthModel;

@@ -7,7 +7,7 @@ use i2slam_geometry::{Camera, Pose};
 const BEST_PARALLAX: f64 = 0.1;
 /// Limits of the views that a keyframe is matched with, and compared with for consistency.
 #[derive(Clone, Copy)]
-pub(super) struct ViewLimits {
+pub(crate) struct ViewLimits {
     /// Their number, at most.
     count: usize,
     /// Smallest ratio of the picture that both see.
@@ -17,10 +17,10 @@ pub(super) struct ViewLimits {
 /// Those of keyframes of a film.
 pub(super) const KEYFRAMES: ViewLimits = ViewLimits { count: 5, overlap: 0.5 };
 /// Those of photographs: less is seen by two, and more of it from elsewhere.
-pub(super) const PHOTOGRAPHS: ViewLimits = ViewLimits { count: MAX_VIEWS, overlap: 0.3 };
+pub(crate) const PHOTOGRAPHS: ViewLimits = ViewLimits { count: MAX_VIEWS, overlap: 0.3 };
 
 /// The most useful of `others` for a keyframe whose median depth is `depth`, best first.
-pub(super) fn select_views(
+pub(crate) fn select_views(
     camera: &Camera<f64>,
     keyframe: Pose<f64>,
     others: &[(usize, Pose<f64>)],

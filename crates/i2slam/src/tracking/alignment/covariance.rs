@@ -247,6 +247,7 @@ mod tests {
             frames: &[],
             previous: None,
             before_previous: None,
+            motion: None,
             expected: None,
             keyframe: None,
             white_balance: config.formation.white_balance,

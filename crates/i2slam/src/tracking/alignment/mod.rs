@@ -77,6 +77,9 @@ const MAX_KNOWN_GAP: f64 = 1e5;
 /// picture: photographs held by hand show blur of one to some percent.
 const UNKNOWN_MOTION_RATIO: f64 = 0.05;
 
+/// Deviation of a short motion that is read off the picture [px]; longer ones are less exact.
+const PICTURE_MOTION_SIGMA_PX: f64 = 0.5;
+
 /// Aligns a frame from the constant-velocity prediction or, where that end is rejected, from the
 /// last pose at rest. Where both fail, and no pose was expected, the frame is relocalised against
 /// the keyframes.
@@ -159,7 +162,8 @@ impl FrameAlignment<'_> {
         start: TrackingState,
     ) -> AlignmentOutcome {
         let end = self.coarse_to_fine(objective, map, start);
-        if self.has_measured_motion() || end.sums.overlap() < MIN_OVERLAP {
+        let is_known = self.has_measured_motion() || self.context.motion.is_some();
+        if is_known || end.sums.overlap() < MIN_OVERLAP {
             return end;
         }
         let Some(blurred) = self.with_initial_blur(objective, map, &end.state) else { return end };
@@ -197,6 +201,10 @@ impl FrameAlignment<'_> {
     fn motion_prior(&self, state: &TrackingState) -> MotionPrior {
         let observed = self.context.timestamps.0;
         let pixels_per_unit = self.pixels_per_unit;
+        if let Some(step) = self.context.motion {
+            let (sigma_at_rest, weight) = (PICTURE_MOTION_SIGMA_PX, PRIOR_WEIGHT);
+            return MotionPrior { pixels_per_unit, step, share: 1.0, sigma_at_rest, weight };
+        }
         let is_near = |last: &&FrameEstimate| observed - last.timestamp <= MAX_KNOWN_GAP;
         if self.context.previous.filter(is_near).is_none() {
             let sigma_at_rest = UNKNOWN_MOTION_RATIO
