@@ -8,11 +8,11 @@ const DEPTH: f64 = 2.0;
 
 /// Brightness of a wall.
 fn wall(x: f64, y: f64) -> f64 {
-    let waves = (0..60).map(|i| {
-        let (turn, size) = (f64::from(i) * 2.4, 3.0 + 1.5 * f64::from(i));
+    let waves = (0..24).map(|i| {
+        let (turn, size) = (f64::from(i) * 2.4, 3.0 + 3.7 * f64::from(i));
         (size * (x * turn.cos() + y * turn.sin()) + f64::from(i * i)).sin()
     });
-    0.3 + 0.03 * waves.sum::<f64>()
+    0.3 + 0.045 * waves.sum::<f64>()
 }
 
 fn pose(x: f64, turn: f64) -> Pose<f64> {
@@ -21,12 +21,12 @@ fn pose(x: f64, turn: f64) -> Pose<f64> {
 
 /// A photograph of the wall at `exposure` whose picture moves by `motion` [px].
 fn photograph(pose: Pose<f64>, motion: [f64; 2], exposure: f64) -> Arc<Image<f32>> {
-    let samples = 24;
+    let samples = 10;
     let light = |u: f64, v: f64| {
         let point = pose * CAMERA.unproject(u, v, DEPTH);
         wall(point.x, point.y)
     };
-    Arc::new(Image::from_fn(160, 120, 3, |_, column, row| {
+    Arc::new(Image::from_fn(160, 120, 1, |_, column, row| {
         let moved = (0..samples).map(|i| (f64::from(i) + 0.5) / f64::from(samples) - 0.5);
         let (u, v) = (column as f64 + 0.5, row as f64 + 0.5);
         let sum: f64 = moved.map(|s| light(u + s * motion[0], v + s * motion[1])).sum();
