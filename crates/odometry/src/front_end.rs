@@ -15,6 +15,7 @@ use crate::online::online_map::{OnlineMap, TrackingStatus};
 use crate::progress::Progress;
 use crate::register::dense_constraints::add_dense_constraints;
 use crate::register::initialization::initialize;
+use crate::register::position_refinement::refine_positions;
 use crate::register::registration::{
     adjust_all_frames, adjust_globally, adjust_path, adjust_remaining_frames, register_keyframes,
     register_remaining_frames,
@@ -229,6 +230,10 @@ impl FrontEnd {
             }
         }
         adjust_until_converged(&mut state, adjust_focal);
+        if state.photographs.is_some() {
+            refine_positions(&mut state);
+            adjust_until_converged(&mut state, adjust_focal);
+        }
         let distortion_dropped = drop_unobservable_distortion(&mut state);
         add_dense_constraints(&mut state);
         adjust_remaining_frames(&mut state, adjust_focal);

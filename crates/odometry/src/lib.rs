@@ -86,6 +86,7 @@ mod register {
     pub(crate) mod dense_constraints;
     pub(crate) mod initialization;
     pub(crate) mod photographs;
+    pub(crate) mod position_refinement;
     pub(crate) mod registration;
     pub(crate) mod resection_intersection;
 }
