@@ -230,7 +230,7 @@ impl FrontEnd {
             }
         }
         adjust_until_converged(&mut state, adjust_focal);
-        if state.photographs.is_some() {
+        if state.photographs.is_some() && !progress.is_cancelled() {
             refine_positions(&mut state);
             adjust_until_converged(&mut state, adjust_focal);
         }

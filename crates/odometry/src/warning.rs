@@ -11,6 +11,15 @@ pub enum Warning {
         /// All frames.
         frames: usize,
     },
+    /// Consecutive photographs without a pose.
+    #[error(
+        "{} not placed: too blurred, or with too little of what other photographs show; some taken from between, at most 20 degrees apart, would help",
+        are(*.frames)
+    )]
+    PhotographsNotPlaced {
+        /// First and last frame.
+        frames: [usize; 2],
+    },
     /// Consecutive frames with points of their own, but too few in common with the others.
     #[error(
         "frames {} to {} could not be connected to the others: they show another place, or too little of the same one; to map them, run those frames alone",
@@ -198,6 +207,7 @@ impl Warning {
     fn frames_mut(&mut self) -> Option<&mut [usize; 2]> {
         match self {
             Self::DisconnectedFrames { frames }
+            | Self::PhotographsNotPlaced { frames }
             | Self::UntrackableFrames { frames }
             | Self::BlankFrames { frames }
             | Self::FrozenFrames { frames, .. }

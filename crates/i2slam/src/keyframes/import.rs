@@ -59,7 +59,7 @@ impl KeyframeSource for Import {
             world_from_camera: keyframe.world_from_camera,
             before: None,
             after: None,
-            motion: None,
+            exposure_motion: None,
             depth: keyframe.depth.map(|depth| EstimatedDepth { depth, variance }),
             is_keyframe: true,
         }))

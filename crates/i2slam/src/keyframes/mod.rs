@@ -40,8 +40,9 @@ pub struct PosedKeyframe {
     pub before: Option<(f64, Pose<f64>)>,
     /// Time stamp [s] and pose of the video frame after it, where known.
     pub after: Option<(f64, Pose<f64>)>,
-    /// Motion from start to end of the exposure, in the camera, where its picture tells it.
-    pub motion: Option<Tangent<f64>>,
+    /// Motion from start to end of the exposure, of either sign, found by comparison with other
+    /// photographs.
+    pub exposure_motion: Option<Tangent<f64>>,
     /// Estimated depth, where known.
     pub depth: Option<EstimatedDepth>,
     /// Whether later mapping steps may render it again. A frame between keyframes is rendered only
@@ -60,7 +61,7 @@ impl PosedKeyframe {
             world_from_camera,
             before: None,
             after: None,
-            motion: None,
+            exposure_motion: None,
             depth: None,
             is_keyframe: true,
         }

@@ -273,9 +273,9 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
         });
         let size = (frame.colour.width, frame.colour.height);
         let depth = Some(depth(dense, keyframe, size));
-        let motion = self.motions.get(number).copied().flatten();
+        let exposure_motion = self.motions.get(number).copied().flatten();
         let posed = posed(found, keyframe.index, frame, keyframe.world_from_camera);
-        Some(Ok(PosedKeyframe { depth, motion, ..posed }))
+        Some(Ok(PosedKeyframe { depth, exposure_motion, ..posed }))
     }
 
     /// A frame between keyframes.
@@ -328,7 +328,8 @@ fn keyframe_positions(found: &Reconstruction, positions: &[usize]) -> Vec<usize>
 const CACHED: usize = 2 * MAX_KEYFRAME_DISTANCE;
 const CACHED_PHOTOGRAPHS: usize = 2 * MAX_PHOTOGRAPH_DISTANCE;
 
-/// Reads the pictures of keyframes once and in order: going back in a video decodes it again.
+/// Reads the pictures of keyframes in order, once but for [`read_apart`](Self::read_apart): going back in a
+/// video decodes it again.
 pub(super) struct PictureReader<L> {
     load: L,
     /// Position of each keyframe in the sequence.

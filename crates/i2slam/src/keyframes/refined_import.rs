@@ -46,7 +46,7 @@ pub struct RefinedImport<L> {
 impl<L: FnMut(usize) -> Result<Frame, PictureError>> RefinedImport<L> {
     /// Refines the imported `poses` [world from camera] by `odometry`, which was run on their
     /// pictures in any size; `load` reads the picture at a position. `None` for a rolling shutter
-    /// or if too few keyframes were posed. After `cancellation` no depth is estimated.
+    /// or if too few keyframes were posed. After `cancellation` neither depth nor motion is estimated.
     pub fn new<P>(
         camera: Camera<f64>,
         mut poses: Vec<Pose<f64>>,
@@ -118,7 +118,7 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> KeyframeSource for RefinedI
 
     fn next_keyframe(&mut self) -> Option<Result<PosedKeyframe, PictureError>> {
         let (number, world_from_camera) = (self.next, *self.poses.get(self.next)?);
-        let motion = self.motions.get(number).copied().flatten();
+        let exposure_motion = self.motions.get(number).copied().flatten();
         self.next += 1;
         let seen = match self.reader.next(number) {
             Ok(picture) => picture,
@@ -127,7 +127,7 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> KeyframeSource for RefinedI
         if let Some(measured) = &seen.depth {
             let depth = EstimatedDepth { depth: (*measured.image).clone(), variance: None };
             let keyframe = PosedKeyframe::from_frame(seen, world_from_camera);
-            return Some(Ok(PosedKeyframe { depth: Some(depth), motion, ..keyframe }));
+            return Some(Ok(PosedKeyframe { depth: Some(depth), exposure_motion, ..keyframe }));
         }
         let mut picture = |k: usize| {
             let colour = Arc::clone(&self.reader.picture(k)?.colour);
@@ -136,7 +136,7 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> KeyframeSource for RefinedI
         let depth = self.dense.estimate(number, &mut picture);
         Some(Ok(PosedKeyframe {
             depth: depth.map(|d| EstimatedDepth { depth: d.depth, variance: Some(d.variance) }),
-            motion,
+            exposure_motion,
             ..PosedKeyframe::from_frame(seen, world_from_camera)
         }))
     }

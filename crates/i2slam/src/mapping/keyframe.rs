@@ -28,8 +28,9 @@ pub(super) fn observations(views: &[Keyframe]) -> Vec<Arc<Observation>> {
 pub(crate) struct AdjacentFrames {
     pub(crate) before: Option<(f64, Pose<f64>)>,
     pub(crate) after: Option<(f64, Pose<f64>)>,
-    /// Motion during the exposure, where the picture alone tells it.
-    pub(crate) motion: Option<Tangent<f64>>,
+    /// Motion from start to end of the exposure, of either sign, found by comparison with other
+    /// photographs.
+    pub(crate) exposure_motion: Option<Tangent<f64>>,
 }
 
 /// Time before a photograph at which its camera was at its place [s]: so long ago that it tells nothing of
@@ -38,9 +39,9 @@ const TIME_AT_REST: f64 = 1e6;
 
 impl AdjacentFrames {
     /// Of a photograph, which has no neighbours in time.
-    pub(crate) fn of_photograph(timestamp: f64, motion: Option<Tangent<f64>>) -> Self {
+    pub(crate) fn of_photograph(timestamp: f64, exposure_motion: Option<Tangent<f64>>) -> Self {
         let before = Some((timestamp - TIME_AT_REST, Pose::identity()));
-        Self { before, after: None, motion }
+        Self { before, after: None, exposure_motion }
     }
 
     /// One known neighbour, before or after `frame`.

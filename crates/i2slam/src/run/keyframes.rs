@@ -127,10 +127,11 @@ pub(super) fn from_odometry(
         None => source,
     };
     let (count, keyframes) = (source.remaining(), source.reconstruction().keyframes.len());
-    let source = source
-        .with_photograph_motions(&context.cancellation)
-        .with_dense_depth(context.cancellation.clone());
-    let source = Box::new(source);
+    let source = match options.config.formation.blur && !is_paper {
+        true => source.with_photograph_motions(&context.cancellation),
+        false => source,
+    };
+    let source = Box::new(source.with_dense_depth(context.cancellation.clone()));
     Ok(Input {
         between,
         path,

@@ -16,6 +16,9 @@ pub(super) struct FrameTracker {
     pub(super) frame_rate: f64,
     pub(super) scale: TrajectoryScale<f64>,
     pub(super) readout: SequenceReadout,
+    /// Whether the poses of held-out frames follow the map: those of photographs are a good part of a pixel
+    /// off, each in its own direction, so that their pictures would be compared in other places.
+    pub(super) moves_held_out: bool,
 }
 
 impl FrameTracker {
@@ -25,6 +28,7 @@ impl FrameTracker {
             frame_rate,
             scale: TrajectoryScale::from_frame_rate(frame_rate),
             readout: SequenceReadout::new(input),
+            moves_held_out: false,
         }
     }
 
@@ -36,7 +40,7 @@ impl FrameTracker {
         mapper: &mut dyn Mapper,
         context: &MappingContext<'_>,
         (estimate, colour): (&mut FrameEstimate, &Arc<Image<f32>>),
-        (previous, motion): (Option<&FrameEstimate>, Option<Tangent<f64>>),
+        (previous, exposure_motion): (Option<&FrameEstimate>, Option<Tangent<f64>>),
         others: &[FrameEstimate],
     ) -> bool {
         let clock = Instant::now();
@@ -53,7 +57,7 @@ impl FrameTracker {
             frames: others,
             previous,
             before_previous: None,
-            motion,
+            exposure_motion,
             expected: Some(ExpectedView { world_from_camera: expected, render: &render }),
             keyframe: None,
             white_balance: context.white_balance,
@@ -67,7 +71,8 @@ impl FrameTracker {
         estimate.tracked = true;
         self.scale = result.scale;
         result.write_to(estimate, context.camera, &observation.depth);
-        if context.config.parameters.frames.keeps_middle {
+        let is_free = self.moves_held_out && estimate.held_out;
+        if context.config.parameters.frames.keeps_middle && !is_free {
             estimate.shutter = estimate.shutter.with_middle(expected);
         }
         true
@@ -91,7 +96,7 @@ impl FrameTracker {
             };
             let observation = keyframe.observation.get();
             let frame = (&mut estimate, &observation.colour);
-            let known = (previous.as_ref(), keyframe.adjacent.motion);
+            let known = (previous.as_ref(), keyframe.adjacent.exposure_motion);
             self.localize(mapper, context, frame, known, others);
             if keyframe.frame == context.gauge_frame(keyframe) {
                 estimate.tone = tone;

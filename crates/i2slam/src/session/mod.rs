@@ -175,6 +175,7 @@ impl Session {
     /// them in time.
     pub(crate) fn set_unordered(&mut self, is_unordered: bool) {
         self.is_unordered = is_unordered;
+        self.tracker.moves_held_out = is_unordered;
         self.config.formation.trajectory_loss &= !is_unordered;
     }
 

@@ -89,8 +89,8 @@ impl Session {
         let relative = |(timestamp, pose)| (timestamp, keyframe_from_source * pose);
         let (before, after) = (keyframe.before.map(relative), keyframe.after.map(relative));
         let adjacent = match self.is_unordered {
-            true => AdjacentFrames::of_photograph(keyframe.timestamp, keyframe.motion),
-            false => AdjacentFrames { before, after, motion: keyframe.motion },
+            true => AdjacentFrames::of_photograph(keyframe.timestamp, keyframe.exposure_motion),
+            false => AdjacentFrames { before, after, ..AdjacentFrames::default() },
         };
         let is_keyframe = keyframe.is_keyframe;
         if self.position_of(keyframe.index).is_ok() {
@@ -124,7 +124,7 @@ impl Session {
             let (mapper, tracker, context) = self.mapping();
             let frame = (&mut estimate, &observation.colour);
             let others = &context.frames[..position];
-            let known = (previous.as_ref(), keyframe.adjacent.motion);
+            let known = (previous.as_ref(), keyframe.adjacent.exposure_motion);
             tracker.localize(mapper, &context, frame, known, others);
             self.state.frames[position] = estimate;
         }
@@ -195,11 +195,9 @@ impl Session {
             let adjacent = AdjacentFrames::from_neighbour(&estimate, previous?);
             adjacent.motion_per_interval(timestamp, self.frame_rate)
         };
-        if let Some(motion) = adjacent.motion {
-            let centre = estimate.middle();
-            let is_blurred = self.config.formation.blur;
-            let velocity = if is_blurred { motion } else { Tangent::zero() };
-            estimate.shutter = CentreVelocity { centre, velocity }.into();
+        let is_blurred = self.config.formation.blur;
+        if let Some(velocity) = adjacent.exposure_motion.filter(|_| is_blurred) {
+            estimate.shutter = CentreVelocity { centre: world_from_camera, velocity }.into();
         } else if let Some(motion) = known.or_else(from_previous) {
             estimate.shutter = self.initial_shutter(&estimate, motion);
         }
@@ -252,15 +250,16 @@ impl Session {
     /// A frame that does not fit the camera or has no finite pose.
     pub fn localize(&mut self, frame: PosedKeyframe) -> Result<&FrameEstimate, SessionError> {
         self.check(&frame)?;
-        let PosedKeyframe { index, timestamp, colour, world_from_camera, motion, .. } = frame;
-        let (known, place) = match self.position_of(index) {
+        let PosedKeyframe { index, timestamp, colour, world_from_camera, exposure_motion, .. } =
+            frame;
+        let (is_present, place) = match self.position_of(index) {
             Ok(known) => (true, known),
             Err(place) => (false, place),
         };
-        if known && (self.state.frames[place].keyframe || self.state.frames[place].held_out) {
+        if is_present && (self.state.frames[place].keyframe || self.state.frames[place].held_out) {
             return Ok(&self.state.frames[place]);
         }
-        let mut estimate = match known {
+        let mut estimate = match is_present {
             true => self.state.frames[place].clone(),
             false => self.unrefined_estimate(place, index, timestamp, world_from_camera),
         };
@@ -268,12 +267,12 @@ impl Session {
         let previous = previous.map(|i| self.state.frames[i].clone());
         let (mapper, tracker, context) = self.mapping();
         let frame = (&mut estimate, &colour);
-        let neighbour = (previous.as_ref(), motion);
-        if !tracker.localize(mapper, &context, frame, neighbour, context.frames) {
+        let known = (previous.as_ref(), exposure_motion);
+        if !tracker.localize(mapper, &context, frame, known, context.frames) {
             let text = "not found in the map: its pose is that of the front end";
             self.state.warn(index, text);
         }
-        match known {
+        match is_present {
             true => self.state.frames[place] = estimate,
             false => self.insert(place, estimate),
         }

@@ -498,7 +498,7 @@ fn photograph(index: usize, turned: Tangent<f64>, told: Option<Tangent<f64>>) ->
     let world_from_camera = path_pose(index);
     PosedKeyframe {
         colour: Arc::new(colour),
-        motion: told,
+        exposure_motion: told,
         world_from_camera,
         before: None,
         ..sharp

@@ -133,7 +133,7 @@ fn test_keyframe(camera: &Camera<f64>, colour: &Arc<Image<f32>>, index: usize) -
         world_from_camera: Pose::new(turn, Vec3::zero()),
         before: None,
         after: None,
-        motion: None,
+        exposure_motion: None,
         depth: Some(EstimatedDepth { depth: constant(DEPTH), variance }),
         is_keyframe: true,
     }

@@ -163,7 +163,7 @@ impl Session {
             frames,
             previous: frames.last(),
             before_previous: frames.len().checked_sub(2).map(|i| &frames[i]),
-            motion: None,
+            exposure_motion: None,
             expected: None,
             keyframe: last_keyframe.as_ref().map(|(observation, pose)| (&**observation, *pose)),
             white_balance: state.white_balance(config),

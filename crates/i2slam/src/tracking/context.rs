@@ -32,8 +32,9 @@ pub(crate) struct TrackingContext<'a> {
     pub(crate) previous: Option<&'a FrameEstimate>,
     /// The frame before that.
     pub(crate) before_previous: Option<&'a FrameEstimate>,
-    /// Motion during the exposure, where the picture alone tells it.
-    pub(crate) motion: Option<Tangent<f64>>,
+    /// Motion from start to end of the exposure, of either sign, found by comparison with other
+    /// photographs.
+    pub(crate) exposure_motion: Option<Tangent<f64>>,
     /// The view predicted by another source than constant velocity.
     pub(crate) expected: Option<ExpectedView<'a>>,
     /// The last keyframe and its world-from-camera pose when its depth was taken.

@@ -41,7 +41,7 @@ pub(crate) fn track<M: RadianceMap>(
         false => 0.0,
     };
     let mut state = TrackingState {
-        motion: match context.motion.filter(|_| context.config.formation.blur) {
+        motion: match context.exposure_motion.filter(|_| context.config.formation.blur) {
             Some(velocity) => CentreVelocity { centre: predicted.pose, velocity },
             None => predicted.during_exposure(initial_split),
         },

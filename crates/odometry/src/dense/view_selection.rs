@@ -7,7 +7,7 @@ use i2slam_geometry::{Camera, Pose};
 const BEST_PARALLAX: f64 = 0.1;
 /// Limits of the views that a keyframe is matched with, and compared with for consistency.
 #[derive(Clone, Copy)]
-pub(crate) struct ViewLimits {
+pub(super) struct ViewLimits {
     /// Their number, at most.
     count: usize,
     /// Smallest ratio of the picture that both see.
@@ -17,10 +17,10 @@ pub(crate) struct ViewLimits {
 /// Those of keyframes of a film.
 pub(super) const KEYFRAMES: ViewLimits = ViewLimits { count: 5, overlap: 0.5 };
 /// Those of photographs: less is seen by two, and more of it from elsewhere.
-pub(crate) const PHOTOGRAPHS: ViewLimits = ViewLimits { count: MAX_VIEWS, overlap: 0.3 };
+pub(super) const PHOTOGRAPHS: ViewLimits = ViewLimits { count: MAX_VIEWS, overlap: 0.3 };
 
 /// The most useful of `others` for a keyframe whose median depth is `depth`, best first.
-pub(crate) fn select_views(
+pub(super) fn select_views(
     camera: &Camera<f64>,
     keyframe: Pose<f64>,
     others: &[(usize, Pose<f64>)],
@@ -42,7 +42,12 @@ pub(crate) fn select_views(
 }
 
 /// Ratio of a picture at one depth that another camera sees.
-fn overlap_ratio(camera: &Camera<f64>, from: Pose<f64>, to: Pose<f64>, depth: f64) -> f64 {
+pub(crate) fn overlap_ratio(
+    camera: &Camera<f64>,
+    from: Pose<f64>,
+    to: Pose<f64>,
+    depth: f64,
+) -> f64 {
     let to_from = to.inverse() * from;
     let mut seen = 0;
     for i in 0..64 {

@@ -26,6 +26,8 @@ const MAX_UNDECIDED_PICTURES: usize = 60;
 const MAX_EXHAUSTIVE: usize = 40;
 const MAX_CANDIDATES: usize = 20;
 const COMPARED_FEATURES: usize = 300;
+/// Pairs that are matched between two reports of progress.
+const REPORTED_PAIRS: usize = 8;
 /// Angle between the rotation of a pair and that of the orientations of all, at most, and angle between the
 /// axes of two pictures beyond which they show no surface both [rad].
 const MAX_CONTRADICTION: f64 = 0.6;
@@ -129,14 +131,16 @@ impl PhotoCollection {
         let frames: Vec<usize> = self.views.keys().copied().collect();
         let features: Vec<&Features> = self.views.values().map(|v| v.features.as_ref()).collect();
         let compared = compared_pairs(&features);
-        progress.report(Stage::Matching, 0, compared.len());
         let matched = |&(a, b): &(usize, usize)| match progress.is_cancelled() {
             true => None,
             false => Some(((a, b), match_pair(camera, [features[a], features[b]]))),
         };
-        let matched: Vec<((usize, usize), MatchedPair)> =
-            compared.par_iter().filter_map(matched).collect();
-        let matched = without_contradictions(features.len(), matched);
+        let mut all: Vec<((usize, usize), MatchedPair)> = Vec::with_capacity(compared.len());
+        for (chunk, pairs) in compared.chunks(REPORTED_PAIRS).enumerate() {
+            progress.report(Stage::Matching, chunk * REPORTED_PAIRS, compared.len());
+            all.par_extend(pairs.par_iter().filter_map(matched));
+        }
+        let matched = without_contradictions(features.len(), all);
         let (tracks, track_of) = joined(&frames, &features, &matched);
         let pair = |((a, b), pair): ((usize, usize), MatchedPair)| PhotographPair {
             first: frames[a],

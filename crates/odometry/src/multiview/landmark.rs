@@ -138,6 +138,27 @@ pub(crate) type Match<'a> = (&'a Landmark, &'a Observation);
 /// Reprojection error up to which a match is an inlier [standard deviations].
 pub(crate) const MAX_INLIER_ERROR: f64 = 5.0;
 
+/// Affine warp of the surroundings of a landmark, taken to face one camera, into another one.
+pub(crate) fn warp_between_views(
+    camera: &Camera<f64>,
+    landmark: &Landmark,
+    from: &Pose<f64>,
+    to: &Pose<f64>,
+) -> Option<[[f32; 2]; 2]> {
+    let seen = from.inverse() * landmark.position();
+    let (u, v) = camera.project(seen);
+    let there = |du: f64, dv: f64| {
+        let p = to.inverse() * (*from * camera.unproject(u + du, v + dv, seen.z));
+        (seen.z > 0.0 && p.z > 1e-6 * seen.z).then(|| camera.project(p))
+    };
+    let (centre, right, below) = (there(0.0, 0.0)?, there(1.0, 0.0)?, there(0.0, 1.0)?);
+    let slope = |a: f64, b: f64| (a - b) as f32;
+    Some([
+        [slope(right.0, centre.0), slope(below.0, centre.0)],
+        [slope(right.1, centre.1), slope(below.1, centre.1)],
+    ])
+}
+
 /// Length of a match's reprojection error [standard deviations]; infinite behind the camera.
 pub(crate) fn reprojection_error(camera: &Camera<f64>, pose: &Pose<f64>, m: &Match<'_>) -> f64 {
     m.0.image_position(camera, pose).map_or(f64::INFINITY, |at| {

@@ -2,27 +2,25 @@
 //!
 //! A detector places a feature to a pixel or two, in each photograph anew. Around a landmark a patch of
 //! one photograph is aligned with all others, by an affine warp that starts from their poses: positions
-//! agree to a fraction of a pixel then.
+//! agree to a fraction of a pixel then. Pictures are those that are kept of keyframes, of at most 160 000
+//! pixels.
 
-use crate::multiview::landmark::Landmark;
+use crate::multiview::landmark::{Landmark, warp_between_views};
 use crate::multiview::lens_distortion::undistort;
 use crate::sfm_state::SfmState;
 use crate::track::patch::{AffineWarp, PatchTemplate};
-use crate::track::point_search::{MIN_POSITION_SIGMA, position_sigma};
-use crate::track::pyramid::Pyramid;
+use crate::track::point_search::{MIN_ANCHOR_CORRELATION, MIN_POSITION_SIGMA, position_sigma};
 use crate::track::tracks::{Observation, Track};
-use i2slam_geometry::{Pose, Vec3};
+use i2slam_geometry::{Image, Pose, Vec3};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
-/// Smallest correlation of aligned patches.
-const MIN_CORRELATION: f32 = 0.7;
 /// Largest move of a position in its picture as kept [px].
 const MAX_MOVE: f32 = 2.0;
 
 /// A photograph as its picture was kept, and the size of the full one over that of it.
 struct Picture {
-    pyramid: Pyramid,
+    image: Image<f32>,
     scale: f64,
 }
 
@@ -31,7 +29,7 @@ struct Picture {
 pub(crate) fn refine_positions(state: &mut SfmState) {
     let images = state.tracks.keyframe_images.iter();
     let pictures: BTreeMap<usize, Picture> = images
-        .map(|image| (image.frame, Picture { pyramid: image.pyramid(), scale: image.scale }))
+        .map(|image| (image.frame, Picture { image: image.picture(), scale: image.scale }))
         .collect();
     let refined_of = |(track, landmark): (&Track, &Option<Landmark>)| match landmark {
         Some(landmark) => refined_observations(state, &pictures, track, landmark),
@@ -63,19 +61,19 @@ fn refined_observations(
     let Some(&(anchor, anchor_pose)) = most_central(&seen, landmark.position()) else {
         return Vec::new();
     };
-    let Picture { pyramid, scale } = &pictures[&anchor.frame];
+    let Picture { image, scale } = &pictures[&anchor.frame];
     let at = |o: &Observation, scale: f64| o.raw().map(|v| (v / scale) as f32);
-    let Some(template) = PatchTemplate::<8>::new(pyramid.finest(), at(anchor, *scale)) else {
+    let Some(template) = PatchTemplate::<8>::new(image, at(anchor, *scale)) else {
         return Vec::new();
     };
     let aligned = |(o, pose): &(&Observation, Pose<f64>)| {
-        let Picture { pyramid, scale } = &pictures[&o.frame];
+        let Picture { image, scale } = &pictures[&o.frame];
         let centre = at(o, *scale);
-        let matrix = affine_warp(state, (anchor, anchor_pose), *pose, landmark)?;
-        let found = template.align(pyramid.finest(), AffineWarp { matrix, centre })?;
+        let matrix = warp_between_views(&state.camera, landmark, &anchor_pose, pose)?;
+        let found = template.align(image, AffineWarp { matrix, centre })?;
         let [x, y] = found.warp.centre;
         let is_near = (x - centre[0]).hypot(y - centre[1]) < MAX_MOVE;
-        (is_near && found.correlation > MIN_CORRELATION).then(|| {
+        (is_near && found.correlation > MIN_ANCHOR_CORRELATION).then(|| {
             let to = found.warp.centre.map(|v| f64::from(v) * scale);
             placed(state, o, to, position_sigma(found.correlation) * scale)
         })
@@ -103,29 +101,6 @@ fn most_central<'a, 'b>(
     seen.iter().max_by(|a, b| alike(&a.1).total_cmp(&alike(&b.1)))
 }
 
-/// How a small surface that faces the anchor's camera is seen by another one.
-fn affine_warp(
-    state: &SfmState,
-    (anchor, anchor_pose): (&Observation, Pose<f64>),
-    pose: Pose<f64>,
-    landmark: &Landmark,
-) -> Option<[[f32; 2]; 2]> {
-    let camera = &state.camera;
-    let other_from_anchor = pose.inverse() * anchor_pose;
-    let depth = (anchor_pose.inverse() * landmark.position()).z;
-    let [u, v] = anchor.at();
-    let map = |u: f64, v: f64| {
-        let seen = other_from_anchor * camera.unproject(u, v, depth);
-        (depth > 0.0 && seen.z > 0.0).then(|| camera.project(seen))
-    };
-    let slope = |before: (f64, f64), after: (f64, f64)| {
-        [(after.0 - before.0) as f32 / 2.0, (after.1 - before.1) as f32 / 2.0]
-    };
-    let by_u = slope(map(u - 1.0, v)?, map(u + 1.0, v)?);
-    let by_v = slope(map(u, v - 1.0)?, map(u, v + 1.0)?);
-    Some([[by_u[0], by_v[0]], [by_u[1], by_v[1]]])
-}
-
 /// An observation at another position as the lens shows it.
 fn placed(state: &SfmState, observation: &Observation, raw: [f64; 2], sigma: f64) -> Observation {
     let new = Observation::new(observation.frame, raw, sigma);
@@ -136,10 +111,11 @@ fn placed(state: &SfmState, observation: &Observation, raw: [f64; 2], sigma: f64
 mod tests {
     use super::*;
     use crate::fixtures::camera;
+    use crate::track::pyramid::Pyramid;
     use crate::track::thumbnail::KeyframeImage;
     use crate::track::tracks::Tracks;
     use i2slam_check::noise;
-    use i2slam_geometry::{Image, Rotation};
+    use i2slam_geometry::Rotation;
     use std::sync::Arc;
 
     const DEPTH: f64 = 2.0;

@@ -12,20 +12,25 @@ mod patch_pairs;
 mod search;
 
 use crate::dense::MAX_PHOTOGRAPH_DISTANCE;
-use crate::dense::view_selection::{PHOTOGRAPHS, select_views};
+use crate::dense::view_selection::overlap_ratio;
 use crate::result::Keyframe;
 use crate::track::pyramid::Pyramid;
 use i2slam_compute::{CancellationToken, median};
-use i2slam_geometry::{Camera, Image, Pose, Tangent};
+use i2slam_geometry::{Camera, Image, Tangent};
 use patch_pairs::{PatchPair, View, compare_patches};
+use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// Exponent of an average camera response: motion averages light, not picture values.
 const RESPONSE_EXPONENT: f32 = 2.2;
+/// Photographs that one is compared with, and ratio of its picture that they show.
+const MAX_VIEWS: usize = 8;
+const MIN_OVERLAP: f64 = 0.3;
 
 /// Motion of the camera from start to end of the exposure of every photograph, as a rotation about the
-/// axes across the optical one, of either sign; `None` where a photograph shares no surface with others.
+/// axes across the optical one, of either sign; `None` where a photograph cannot be read, or shows nothing
+/// that one up to [`MAX_PHOTOGRAPH_DISTANCE`] before or after it shows, or after cancellation.
 ///
 /// `load` gives the picture of a photograph, without lens distortion, in the size of `camera`; it is
 /// called once for each, in order.
@@ -35,25 +40,31 @@ pub fn photograph_motions(
     load: &mut dyn FnMut(usize) -> Option<Arc<Image<f32>>>,
     cancellation: &CancellationToken,
 ) -> Vec<Option<Tangent<f64>>> {
-    let matched: Vec<Vec<usize>> =
-        (0..photographs.len()).map(|number| matched_views(camera, photographs, number)).collect();
+    let compared: Vec<Vec<usize>> =
+        (0..photographs.len()).map(|number| compared_views(camera, photographs, number)).collect();
     let (mut pyramids, mut pairs) = (BTreeMap::<usize, Pyramid>::new(), Vec::<PatchPair>::new());
+    let is_of_size =
+        |image: &Arc<Image<f32>>| (image.width, image.height) == (camera.width, camera.height);
     for number in 0..photographs.len() {
-        let Some(picture) = load(number).filter(|_| !cancellation.is_cancelled()) else { continue };
-        pyramids.retain(|earlier, _| earlier + MAX_PHOTOGRAPH_DISTANCE >= number);
-        let view =
-            |number: usize, pyramid| View { number, keyframe: &photographs[number], pyramid };
-        let own = Pyramid::new(&linear(&picture));
-        for (&earlier, pyramid) in &pyramids {
-            let both = [view(number, &own), view(earlier, pyramid)];
-            if matched[number].contains(&earlier) {
-                pairs.extend(compare_patches(camera, [&both[0], &both[1]]));
-            }
-            if matched[earlier].contains(&number) {
-                pairs.extend(compare_patches(camera, [&both[1], &both[0]]));
-            }
+        if cancellation.is_cancelled() {
+            return vec![None; photographs.len()];
         }
-        pyramids.insert(number, own);
+        let Some(picture) = load(number).filter(is_of_size) else { continue };
+        pyramids.retain(|earlier, _| earlier + MAX_PHOTOGRAPH_DISTANCE >= number);
+        pyramids.insert(number, Pyramid::new(&linear(&picture)));
+        let both_ways =
+            pyramids.keys().flat_map(|earlier| [(number, *earlier), (*earlier, number)]);
+        let due: Vec<(usize, usize)> =
+            both_ways.filter(|(from, to)| compared[*from].contains(to)).collect();
+        let view = |number: usize| View {
+            number,
+            keyframe: &photographs[number],
+            pyramid: &pyramids[&number],
+        };
+        let compare =
+            |&(from, to): &(usize, usize)| compare_patches(camera, [&view(from), &view(to)]);
+        let found: Vec<Vec<PatchPair>> = due.par_iter().map(compare).collect();
+        pairs.extend(found.into_iter().flatten());
     }
     let longer_side = camera.width.max(camera.height) as f32;
     let found = search::search_motions(photographs.len(), longer_side, &pairs, cancellation);
@@ -61,16 +72,20 @@ pub fn photograph_motions(
 }
 
 /// The photographs that show most of what one shows.
-fn matched_views(camera: &Camera<f64>, photographs: &[Keyframe], number: usize) -> Vec<usize> {
+fn compared_views(camera: &Camera<f64>, photographs: &[Keyframe], number: usize) -> Vec<usize> {
     let own = &photographs[number];
     let mut depths: Vec<f64> = own.depths.iter().map(|point| point.depth).collect();
     let Some(depth) = median(&mut depths).filter(|depth| *depth > 0.0) else { return Vec::new() };
-    let is_other =
+    let overlap = |other: usize| {
+        let pose = photographs[other].world_from_camera;
+        (overlap_ratio(camera, own.world_from_camera, pose, depth), other)
+    };
+    let is_near =
         |other: &usize| *other != number && other.abs_diff(number) <= MAX_PHOTOGRAPH_DISTANCE;
-    let pose = |other: usize| (other, photographs[other].world_from_camera);
-    let others: Vec<(usize, Pose<f64>)> =
-        (0..photographs.len()).filter(is_other).map(pose).collect();
-    select_views(camera, own.world_from_camera, &others, depth, PHOTOGRAPHS)
+    let near = (0..photographs.len()).filter(is_near).map(overlap);
+    let mut views: Vec<(f64, usize)> = near.filter(|(ratio, _)| *ratio >= MIN_OVERLAP).collect();
+    views.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+    views.into_iter().take(MAX_VIEWS).map(|(_, other)| other).collect()
 }
 
 /// A picture in linear light, up to the response of its camera.

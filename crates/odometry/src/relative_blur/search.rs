@@ -3,8 +3,10 @@
 
 use super::patch_pairs::{FREQUENCIES, FREQUENCY, NOISE, PatchPair};
 use i2slam_compute::CancellationToken;
+use i2slam_geometry::Image;
 use rayon::prelude::*;
 use std::f32::consts::{PI, TAU};
+use std::sync::LazyLock;
 
 /// Shortest motion that is tried [px], ratio of each length to the one before, and the longest over
 /// the longer side of the picture.
@@ -15,13 +17,13 @@ const MAX_LENGTH_RATIO: f32 = 0.1;
 const DIRECTIONS: usize = 12;
 /// Rounds over all photographs, at most.
 const ROUNDS: usize = 6;
-/// Steps of the refinement over the length of the motion; for still ones of [`MIN_LENGTH`].
+/// Steps of the refinement over the length of the motion.
 const STEPS: [f32; 3] = [0.2, 0.1, 0.05];
 /// Difference of logarithms from which on a ratio counts no more: it compares different surfaces.
 const MAX_RESIDUAL: f32 = 2.0;
 /// Cost of a motion as long as the picture, over the weight of its ratios.
 const LENGTH_COST: f64 = 0.16;
-/// Standard deviation of the blur of a pixel and its interpolation [px].
+/// Standard deviation of the blur of a pixel [px].
 const PIXEL_SIGMA: f32 = 0.3;
 /// Periods along a motion from which on the zeros of sinc² are narrower than a patch resolves.
 const RESOLVED_PERIODS: f32 = 0.7;
@@ -53,7 +55,7 @@ pub(super) fn search_motions(
         }
     }
     for step in STEPS {
-        for photograph in 0..count {
+        for photograph in (0..count).take_while(|_| !cancellation.is_cancelled()) {
             let nearby = neighbours(search.motions[photograph], step);
             search.motions[photograph] = search.best(photograph, &nearby);
         }
@@ -102,40 +104,102 @@ impl<'a> Search<'a> {
 
     /// The candidate that explains the pairs of a photograph best, the others given; the first of equals.
     fn best(&self, photograph: usize, candidates: &[[f32; 2]]) -> [f32; 2] {
-        let pairs = &self.of_photograph[photograph];
-        // What the other photographs keep does not depend on the candidate.
-        let others: Vec<KeptPowers> =
-            pairs.iter().map(|index| self.kept_by_other(&self.pairs[*index], photograph)).collect();
-        let weights: f64 = pairs.iter().map(|index| weight(&self.pairs[*index])).sum();
+        let pairs: Vec<ComparedPair<'_>> =
+            self.of_photograph[photograph].iter().map(|i| self.compared(*i, photograph)).collect();
+        let weights: f64 = pairs.iter().map(|compared| weight(compared.pair)).sum();
         let cost = |motion: &[f32; 2]| {
             let length = f64::from(motion[0].hypot(motion[1]) / self.longer_side);
-            let terms = pairs.iter().zip(&others).map(|(index, other)| {
-                let pair = &self.pairs[*index];
-                let is_second = pair.photographs[1] == photograph;
-                let own = kept(pair, is_second, *motion);
-                if is_second { cost_of(pair, other, &own) } else { cost_of(pair, &own, other) }
-            });
-            terms.sum::<f64>() + LENGTH_COST * length * weights
+            pairs.iter().map(|compared| compared.cost(*motion)).sum::<f64>()
+                + LENGTH_COST * length * weights
         };
         let costs: Vec<f64> = candidates.par_iter().map(cost).collect();
         let best = (0..candidates.len()).min_by(|a, b| costs[*a].total_cmp(&costs[*b]));
         best.map_or([0.0; 2], |best| candidates[best])
     }
 
-    fn kept_by_other(&self, pair: &PatchPair, photograph: usize) -> KeptPowers {
-        let is_second = pair.photographs[0] == photograph;
-        kept(pair, is_second, self.motions[pair.photographs[usize::from(is_second)]])
+    fn compared(&self, index: usize, photograph: usize) -> ComparedPair<'_> {
+        let pair = &self.pairs[index];
+        let is_second = pair.photographs[1] == photograph;
+        let other = Sampling::new(pair, !is_second);
+        let other = other.kept(self.motions[pair.photographs[usize::from(!is_second)]]);
+        ComparedPair { pair, is_second, own: Sampling::new(pair, is_second), other }
     }
 }
 
-/// What the first or the second photograph of a pair keeps if it moves by `motion` [px].
-fn kept(pair: &PatchPair, is_second: bool, motion: [f32; 2]) -> KeptPowers {
-    let motion = motion.map(|pixels| pixels * pair.scale);
-    FREQUENCY.map(|frequency| {
-        let [x, y] = if is_second { pair.in_second(frequency) } else { frequency };
-        let pixel = (-(x * x + y * y) * PIXEL_SIGMA * PIXEL_SIGMA).exp();
-        pixel * box_power((x * motion[0] + y * motion[1]) / TAU)
-    })
+/// A pair as one of its photographs is compared, what the other one keeps given.
+struct ComparedPair<'a> {
+    pair: &'a PatchPair,
+    is_second: bool,
+    own: Sampling,
+    other: KeptPowers,
+}
+
+impl ComparedPair<'_> {
+    fn cost(&self, motion: [f32; 2]) -> f64 {
+        let own = self.own.kept(motion);
+        match self.is_second {
+            true => cost_of(self.pair, &self.other, &own),
+            false => cost_of(self.pair, &own, &self.other),
+        }
+    }
+}
+
+/// The compared frequencies as one photograph of a pair shows them, and what it keeps of them at rest.
+struct Sampling {
+    /// [periods per pixel of the finest level]
+    frequencies: [[f32; 2]; FREQUENCIES],
+    at_rest: KeptPowers,
+}
+
+impl Sampling {
+    fn new(pair: &PatchPair, is_second: bool) -> Self {
+        let shown = FREQUENCY
+            .map(|frequency| if is_second { pair.in_second(frequency) } else { frequency });
+        let at_rest = |[x, y]: [f32; 2]| {
+            let pixel = (-(x * x + y * y) * PIXEL_SIGMA * PIXEL_SIGMA).exp();
+            // The first patch is read at pixels, the second one between them.
+            let interpolation = if is_second { cubic_power(x) * cubic_power(y) } else { 1.0 };
+            pixel * interpolation
+        };
+        let frequencies = shown.map(|both| both.map(|value| value * pair.scale / TAU));
+        Self { frequencies, at_rest: shown.map(at_rest) }
+    }
+
+    /// Share of the powers that is kept in a motion [px].
+    fn kept(&self, [u, v]: [f32; 2]) -> KeptPowers {
+        std::array::from_fn(|f| {
+            let [x, y] = self.frequencies[f];
+            self.at_rest[f] * box_power(x * u + y * v)
+        })
+    }
+}
+
+/// Mean share of the power of a frequency [rad/px] that cubic interpolation keeps, over all places between
+/// pixels.
+fn cubic_power(frequency: f32) -> f32 {
+    const STEPS: f32 = 64.0;
+    static TABLE: LazyLock<Vec<f32>> = LazyLock::new(|| {
+        (0..=STEPS as usize).map(|i| mean_cubic_power(PI * i as f32 / STEPS)).collect()
+    });
+    let at = (frequency.abs() / PI * STEPS).min(STEPS - 1.0);
+    let (below, share) = (at as usize, at.fract());
+    TABLE[below] + share * (TABLE[below + 1] - TABLE[below])
+}
+
+fn mean_cubic_power(frequency: f32) -> f32 {
+    const PLACES: usize = 16;
+    // A line of a wave, interpolated at places between its pixels.
+    let power = |place: usize| {
+        let t = (place as f32 + 0.5) / PLACES as f32;
+        let part = |phase: f32| {
+            let wave = Image::from_fn(6, 6, 1, |_, column, _| {
+                (frequency * (column as f32 - 2.0) + phase).cos()
+            });
+            wave.cubic_tap(2.5 + t, 3.0).map_or(0.0, |tap| tap.sample(&wave.data))
+        };
+        part(0.0).powi(2) + part(-0.5 * PI).powi(2)
+    };
+    (0..PLACES).map(power).sum::<f32>() / PLACES as f32
 }
 
 /// sinc² of a number of periods, with its zeros filled as far as a patch does not resolve them.
@@ -165,4 +229,27 @@ fn cost_of(pair: &PatchPair, first: &KeptPowers, second: &KeptPowers) -> f64 {
         cost += sum / (sum + 4.0 * NOISE) * residual;
     }
     f64::from(cost)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn interpolation_keeps_low_frequencies_and_halves_the_highest() {
+        assert!((cubic_power(0.0) - 1.0).abs() < 1e-5);
+        let values: Vec<f32> = (0..8).map(|i| cubic_power(0.39 * i as f32)).collect();
+        assert!(values.windows(2).all(|pair| pair[1] < pair[0] + 1e-5), "{values:?}");
+        // Five periods in sixteen pixels.
+        assert!((cubic_power(5.0 * TAU / 16.0) - 0.77).abs() < 0.02, "{values:?}");
+    }
+
+    #[test]
+    fn a_box_keeps_what_its_transform_says() {
+        assert_eq!(box_power(0.0), 1.0);
+        let half = (2.0 / PI).powi(2);
+        assert!((box_power(0.5) - half).abs() < 1e-6 && (box_power(-0.5) - half).abs() < 1e-6);
+        // The zero at one period is filled.
+        assert!((box_power(1.0) - 0.5 / (PI * PI)).abs() < 1e-6);
+    }
 }

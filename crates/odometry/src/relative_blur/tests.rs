@@ -1,6 +1,6 @@
 use super::*;
 use crate::result::SparseDepth;
-use i2slam_geometry::{Rotation, Vec3};
+use i2slam_geometry::{Pose, Rotation, Vec3};
 
 const CAMERA: Camera<f64> =
     Camera { width: 160, height: 120, fx: 140.0, fy: 140.0, cx: 80.0, cy: 60.0 };

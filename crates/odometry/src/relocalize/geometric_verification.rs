@@ -4,7 +4,7 @@
 //! it predicts them, with their patches, in nearly all regions of the picture: a poster that hangs
 //! on two walls does not pass.
 
-use crate::multiview::landmark::{Landmark, Match, reprojection_error};
+use crate::multiview::landmark::{Landmark, Match, reprojection_error, warp_between_views};
 use crate::multiview::pnp::{solve_pnp, solve_pnp_ransac};
 use crate::relocalize::descriptor::DescribedPoints;
 use crate::sfm_state::SfmState;
@@ -178,7 +178,7 @@ impl<'a> KeyframeComparison<'a> {
         let (new, scale) = (self.new, self.new.scale);
         let rows = rolling_shutter_offset(self.state, new.frame, at);
         let centre = std::array::from_fn(|i| ((at[i] + rows[i]) / scale) as f32);
-        let matrix = warp_between_views(self.state, landmark, &self.old_pose, pose)?;
+        let matrix = warp_between_views(&self.state.camera, landmark, &self.old_pose, pose)?;
         let in_old = shown.raw().map(|v| (v / self.old.scale) as f32);
         let anchor = AnchorPatch::new(&self.old_pyramid, in_old)?;
         let found = anchor.align(&self.new_pyramid, AffineWarp { matrix, centre }, 1)?;
@@ -197,28 +197,6 @@ fn rolling_shutter_offset(state: &SfmState, frame: usize, at: [f64; 2]) -> [f64;
     let far = |o: &Observation| (o.at()[0] - at[0]).powi(2) + (o.at()[1] - at[1]).powi(2);
     let near = state.observations_in(frame).min_by(|a, b| far(a.1).total_cmp(&far(b.1)));
     near.map_or([0.0; 2], |(_, o)| [o.raw()[0] - o.at()[0], o.raw()[1] - o.at()[1]])
-}
-
-/// Affine warp of the surroundings of a landmark, taken to face the old camera, into the new one.
-fn warp_between_views(
-    state: &SfmState,
-    landmark: &Landmark,
-    old: &Pose<f64>,
-    new: &Pose<f64>,
-) -> Option<[[f32; 2]; 2]> {
-    let camera = &state.camera;
-    let in_old = old.inverse() * landmark.position();
-    let (u, v) = camera.project(in_old);
-    let there = |du: f64, dv: f64| {
-        let p = new.inverse() * (*old * camera.unproject(u + du, v + dv, in_old.z));
-        (p.z > 1e-6 * in_old.z.abs()).then(|| camera.project(p))
-    };
-    let (centre, right, below) = (there(0.0, 0.0)?, there(1.0, 0.0)?, there(0.0, 1.0)?);
-    let slope = |a: f64, b: f64| (a - b) as f32;
-    Some([
-        [slope(right.0, centre.0), slope(below.0, centre.0)],
-        [slope(right.1, centre.1), slope(below.1, centre.1)],
-    ])
 }
 
 /// Median ratio of depths in the old map to those in the new one, over points that have both.

@@ -16,7 +16,7 @@ const ANCHOR_LEVELS: usize = 3;
 const MAX_ROUND_TRIP_ERROR: f32 = 1.2;
 /// Smallest correlation with the last frame, and with the anchor.
 const MIN_CORRELATION: f32 = 0.6;
-const MIN_ANCHOR_CORRELATION: f32 = 0.7;
+pub(crate) const MIN_ANCHOR_CORRELATION: f32 = 0.7;
 /// Standard deviation of a position at correlation 1 with the anchor, ...
 pub(crate) const MIN_POSITION_SIGMA: f64 = 0.4;
 /// ... and its growth per unit of missing correlation [px].

@@ -52,11 +52,16 @@ impl KeyframeImage {
 
     /// The kept picture as a pyramid.
     pub(crate) fn pyramid(&self) -> Pyramid {
+        Pyramid::new(&self.picture())
+    }
+
+    /// The kept picture.
+    pub(crate) fn picture(&self) -> Image<f32> {
         let mut image = Image::new(self.width, self.height, 1);
         for (value, byte) in image.data.iter_mut().zip(&self.brightness) {
             *value = f32::from(*byte) / 255.0;
         }
-        Pyramid::new(&image)
+        image
     }
 
     /// Correlation of the thumbnails at the best shift.

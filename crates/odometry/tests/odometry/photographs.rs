@@ -2,7 +2,7 @@
 
 use crate::scene::{camera, picture, tracked};
 use i2slam_geometry::{Pose, Rotation, Vec3};
-use i2slam_odometry::{Intrinsics, Progress};
+use i2slam_odometry::{Intrinsics, Progress, Warning};
 
 const COUNT: usize = 8;
 
@@ -40,4 +40,16 @@ fn frames_of_a_film_are_not_taken_for_photographs() {
     let pictures = (0..12).map(|i| picture(1, crate::scene::moving(i), 1.0));
     let front_end = tracked(Intrinsics::Known(camera()), pictures);
     assert!(!front_end.finish(Progress::default()).expect("a path").is_unordered);
+}
+
+#[test]
+fn a_photograph_of_another_place_is_named() {
+    let mut pictures: Vec<_> =
+        [3, 7, 1, 5, 0, 6, 2, 4].iter().map(|step| picture(1, place(*step), 1.0)).collect();
+    pictures.insert(4, picture(77, place(3), 1.0));
+    let front_end = tracked(Intrinsics::Known(camera()), pictures.into_iter());
+    let found = front_end.finish(Progress::default()).expect("a path");
+    assert!(found.is_unordered && found.poses[4].is_none());
+    let named = Warning::PhotographsNotPlaced { frames: [4, 4] };
+    assert!(found.warnings.contains(&named), "{:?}", found.warnings);
 }

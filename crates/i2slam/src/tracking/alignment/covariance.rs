@@ -247,7 +247,7 @@ mod tests {
             frames: &[],
             previous: None,
             before_previous: None,
-            motion: None,
+            exposure_motion: None,
             expected: None,
             keyframe: None,
             white_balance: config.formation.white_balance,

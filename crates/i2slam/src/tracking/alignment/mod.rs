@@ -77,8 +77,10 @@ const MAX_KNOWN_GAP: f64 = 1e5;
 /// picture: photographs held by hand show blur of one to some percent.
 const UNKNOWN_MOTION_RATIO: f64 = 0.05;
 
-/// Deviation of a short motion that is read off the picture [px]; longer ones are less exact.
-const PICTURE_MOTION_SIGMA_PX: f64 = 0.5;
+/// Motion found by comparison with other photographs below which it is not told from none [px], and its
+/// deviation, which grows with its length.
+const MIN_EXPOSURE_MOTION_PX: f64 = 1.0;
+const EXPOSURE_MOTION_SIGMA_PX: f64 = 0.5;
 
 /// Aligns a frame from the constant-velocity prediction or, where that end is rejected, from the
 /// last pose at rest. Where both fail, and no pose was expected, the frame is relocalised against
@@ -162,7 +164,7 @@ impl FrameAlignment<'_> {
         start: TrackingState,
     ) -> AlignmentOutcome {
         let end = self.coarse_to_fine(objective, map, start);
-        let is_known = self.has_measured_motion() || self.context.motion.is_some();
+        let is_known = self.has_measured_motion() || self.exposure_motion().is_some();
         if is_known || end.sums.overlap() < MIN_OVERLAP {
             return end;
         }
@@ -201,8 +203,8 @@ impl FrameAlignment<'_> {
     fn motion_prior(&self, state: &TrackingState) -> MotionPrior {
         let observed = self.context.timestamps.0;
         let pixels_per_unit = self.pixels_per_unit;
-        if let Some(step) = self.context.motion {
-            let (sigma_at_rest, weight) = (PICTURE_MOTION_SIGMA_PX, PRIOR_WEIGHT);
+        if let Some(step) = self.exposure_motion() {
+            let (sigma_at_rest, weight) = (EXPOSURE_MOTION_SIGMA_PX, PRIOR_WEIGHT);
             return MotionPrior { pixels_per_unit, step, share: 1.0, sigma_at_rest, weight };
         }
         let is_near = |last: &&FrameEstimate| observed - last.timestamp <= MAX_KNOWN_GAP;
@@ -221,6 +223,12 @@ impl FrameAlignment<'_> {
             sigma_at_rest: MIN_SIGMA_PX,
             weight: if is_free { 1e-3 } else { PRIOR_WEIGHT },
         }
+    }
+
+    /// The motion found by comparison with other photographs, where it is longer than its error.
+    fn exposure_motion(&self) -> Option<Tangent<f64>> {
+        let found = self.context.exposure_motion;
+        found.filter(|motion| self.norm_in_pixels(*motion) >= MIN_EXPOSURE_MOTION_PX)
     }
 
     /// Whether the last frame was tracked, and is so recent that the motion since then predicts the

@@ -19,7 +19,7 @@ const SIGMA_RATIO_ALONG: f64 = 0.5;
 /// because a camera also changes its gain.
 pub(super) struct MotionPrior {
     pub(super) pixels_per_unit: [f64; 6],
-    /// Motion `Δ` since the last frame.
+    /// Motion `Δ` since the last frame; of a photograph the one during its exposure, with `κ` = 1.
     pub(super) step: Tangent<f64>,
     /// Expected share `κ` of it during the exposure.
     pub(super) share: f64,

@@ -281,7 +281,7 @@ mod tests {
             frames: &estimates,
             previous: estimates.last(),
             before_previous: estimates.len().checked_sub(2).map(|i| &estimates[i]),
-            motion: None,
+            exposure_motion: None,
             expected: None,
             keyframe: None,
             white_balance: config.formation.white_balance,

@@ -169,7 +169,7 @@ mod tests {
             frames: &[],
             previous: None,
             before_previous: None,
-            motion: None,
+            exposure_motion: None,
             expected: Some(ExpectedView { world_from_camera: Pose::identity(), render }),
             keyframe: None,
             white_balance: config.formation.white_balance,
