@@ -16,8 +16,8 @@ pub(super) struct FrameTracker {
     pub(super) frame_rate: f64,
     pub(super) scale: TrajectoryScale<f64>,
     pub(super) readout: SequenceReadout,
-    /// Whether the poses of held-out frames follow the map: those of photographs are a good part of a pixel
-    /// off, each in its own direction, so that their pictures would be compared in other places.
+    /// True if held-out frames may leave their input poses: those of photographs have independent errors
+    /// of half a pixel, by which their pictures would be compared with other places.
     pub(super) moves_held_out: bool,
 }
 

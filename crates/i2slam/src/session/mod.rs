@@ -311,6 +311,8 @@ fn unused_setting(config: &Config) -> Option<Warning> {
 #[cfg(test)]
 mod late_frame_tests;
 #[cfg(test)]
+mod photograph_tests;
+#[cfg(test)]
 mod posed_tests;
 #[cfg(test)]
 mod tracked_tests;

@@ -259,7 +259,7 @@ fn invalid_settings_of_a_field_end_the_session() {
 }
 
 /// World-from-camera of frame `index`; every second one is a keyframe.
-fn path_pose(index: usize) -> Pose<f64> {
+pub(super) fn path_pose(index: usize) -> Pose<f64> {
     let t = index as f64;
     let turn = Vec3::new(0.004 * t, 0.008 * t, 0.0);
     Pose::new(Rotation::exp(turn), Vec3::new(0.015 * t, -0.005 * t, 0.01 * t))
@@ -271,7 +271,7 @@ fn moved_on_path(index: usize) -> Pose<f64> {
     path_pose(index).retract(Tangent::from_array(std::array::from_fn(|i| 0.01 * errors[i])))
 }
 
-fn posed_on_path(index: usize, with_depth: bool) -> PosedKeyframe {
+pub(super) fn posed_on_path(index: usize, with_depth: bool) -> PosedKeyframe {
     let frame = frame(index, path_pose(index));
     let depth = (*frame.depth.as_ref().expect("depth").image).clone();
     let mut variance = depth.clone();
@@ -482,54 +482,4 @@ fn a_map_of_gaussians_follows_corrected_poses() {
         let due = motion * Vec3::from_array(*before).cast::<f64>();
         assert!((Vec3::from_array(*after).cast::<f64>() - due).norm() < 1e-5);
     }
-}
-
-/// A photograph whose camera turns during the exposure, with the motion that its picture tells.
-fn photograph(index: usize, turned: Tangent<f64>, told: Option<Tangent<f64>>) -> PosedKeyframe {
-    let sharp = posed_on_path(index, true);
-    let moments = (0..9).map(|i| f64::from(i) / 8.0 - 0.5);
-    let pictures: Vec<_> = moments
-        .map(|moment| frame(index, path_pose(index).retract(turned.scaled(moment))).colour)
-        .collect();
-    let mut colour = (*sharp.colour).clone();
-    for (pixel, value) in colour.data.iter_mut().enumerate() {
-        *value = pictures.iter().map(|p| p.data[pixel]).sum::<f32>() / pictures.len() as f32;
-    }
-    let world_from_camera = path_pose(index);
-    PosedKeyframe {
-        colour: Arc::new(colour),
-        exposure_motion: told,
-        world_from_camera,
-        before: None,
-        ..sharp
-    }
-}
-
-/// The motion that a session finds of a photograph among sharp ones, of one that turns.
-fn motion_found(turned: Tangent<f64>, told: Option<Tangent<f64>>) -> Tangent<f64> {
-    let mut config = Config::preset("default-rgb").expect("known");
-    (config.mapping.iterations, config.mapping.final_iterations) = (15, 60);
-    let mut session = Session::refining(config, CAMERA, 30.0);
-    session.set_unordered(true);
-    let still = Tangent::zero();
-    for (index, turned, told) in [(0, still, None), (1, still, None), (2, turned, told)] {
-        session.add_keyframe(photograph(index, turned, told)).expect("photographs of one size");
-    }
-    let shutter = session.frames()[2].shutter;
-    shutter.start.local(shutter.end)
-}
-
-#[test]
-fn the_motion_that_a_photograph_tells_is_where_its_alignment_starts() {
-    let turn = |x: f64, y: f64| Tangent::from_array([0.0, 0.0, 0.0, x, y, 0.0]);
-    let turned = turn(0.0, 5.0 / CAMERA.fx);
-    let error = |told: Option<Tangent<f64>>| {
-        let found = motion_found(turned, told);
-        (found.rotation - turned.rotation).norm().min((found.rotation + turned.rotation).norm())
-            * CAMERA.fx
-    };
-    let (with, without) = (error(Some(turned.scaled(0.9))), error(None));
-    assert!(with < 1.0 && with < without, "{with} {without} px");
-    let still = motion_found(Tangent::zero(), Some(Tangent::zero()));
-    assert!(still.rotation.norm() * CAMERA.fx < 0.5, "{still:?}");
 }

@@ -231,7 +231,8 @@ fn correlation(a: &Patch, b: &Patch) -> f32 {
     product(a, b) / (product(a, a) * product(b, b)).sqrt()
 }
 
-/// What takes frequencies along with positions; `None` where one picture shows a place much larger.
+/// Inverse of the transposed Jacobian, which maps frequencies; `None` where one picture shows the patch more
+/// than [`MAX_STRETCH`] times larger.
 fn inverse_transpose(&[[a, b], [c, d]]: &[[f32; 2]; 2]) -> Option<[[f32; 2]; 2]> {
     let determinant = a * d - b * c;
     let (sum, product) = (a * a + b * b + c * c + d * d, determinant.abs());
