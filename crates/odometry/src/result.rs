@@ -237,13 +237,13 @@ pub(crate) fn build_reconstruction(
 }
 
 /// Runs of photographs without a pose.
-fn photographs_not_placed(poses: &[Option<Pose<f64>>]) -> impl Iterator<Item = Warning> {
+fn photographs_not_placed(poses: &[Option<Pose<f64>>]) -> Vec<Warning> {
     let numbers: Vec<usize> = (0..poses.len()).collect();
     let runs = numbers.chunk_by(|a, b| poses[*a].is_some() == poses[*b].is_some());
     let lost = runs.filter(|run| poses[run[0]].is_none());
     let warn =
         |run: &[usize]| Warning::PhotographsNotPlaced { frames: [run[0], run[run.len() - 1]] };
-    lost.map(warn).collect::<Vec<_>>().into_iter()
+    lost.map(warn).collect()
 }
 
 /// The path so far in its own world and unit of length, with the landmarks of one keyframe, given

@@ -133,8 +133,8 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
         self
     }
 
-    /// Delivers photographs with their motions during the exposure; frames of a film move as their
-    /// neighbours tell.
+    /// Delivers photographs with their motions during the exposure. Frames of a film are delivered without:
+    /// their motion is predicted from the frames around them.
     #[must_use]
     pub fn with_photograph_motions(mut self, cancellation: &CancellationToken) -> Self {
         let Self { reconstruction: found, reader, motions, .. } = &mut self;

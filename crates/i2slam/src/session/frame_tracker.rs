@@ -33,8 +33,9 @@ impl FrameTracker {
     }
 
     /// Moves `estimate` to where its picture, without depth, fits the map best, with motion during
-    /// exposure and tone. `previous` is the frame before it if known, `motion` that during its exposure if
-    /// its picture tells it; the losses of `others` set what counts as a good fit. Returns whether it was found; a frame that was not stays.
+    /// exposure and tone. `previous` is the frame before it, and `exposure_motion` that of a photograph
+    /// found by comparison with others, where known; the losses of `others` set what counts as a good fit.
+    /// Returns whether it was found; a frame that was not stays.
     pub(super) fn localize(
         &mut self,
         mapper: &mut dyn Mapper,

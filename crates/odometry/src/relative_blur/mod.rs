@@ -3,8 +3,8 @@
 //!
 //! A photograph that moves by `v` pixels shows the frequency `ω` of a surface with the power
 //! `P(ω) sinc²(ω·v / 2)`. Around a landmark two photographs show the same `P`, so that the ratio of
-//! their powers tells of both motions, whatever the surface looks like, and although patches may be
-//! some pixels off. The motions of all photographs are those whose ratios differ least from the
+//! their powers depends on both motions alone, not on the surface; it uses no phases, so that patches
+//! may be some pixels off. The motions of all photographs are those whose ratios differ least from the
 //! measured ones. What all photographs share cannot be told from a soft scene: of motions that explain
 //! the ratios equally well the shortest are taken. The sign of a motion leaves no trace.
 

@@ -78,8 +78,11 @@ fn candidates(longer_side: f32) -> Vec<[f32; 2]> {
     std::iter::once([0.0; 2]).chain(moving).collect()
 }
 
-/// A motion and those around it; a motion at rest has none.
+/// A motion and those around it; none around rest.
 fn neighbours([x, y]: [f32; 2], step: f32) -> Vec<[f32; 2]> {
+    if [x, y] == [0.0; 2] {
+        return vec![[x, y]];
+    }
     let (along, across) = ([x * step, y * step], [-y * step, x * step]);
     let moved = [[0.0; 2], along, along.map(|v| -v), across, across.map(|v| -v)];
     moved.iter().map(|[dx, dy]| [x + dx, y + dy]).collect()
@@ -236,7 +239,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn interpolation_keeps_low_frequencies_and_halves_the_highest() {
+    fn interpolation_dims_high_frequencies() {
         assert!((cubic_power(0.0) - 1.0).abs() < 1e-5);
         let values: Vec<f32> = (0..8).map(|i| cubic_power(0.39 * i as f32)).collect();
         assert!(values.windows(2).all(|pair| pair[1] < pair[0] + 1e-5), "{values:?}");
