@@ -290,8 +290,8 @@ fn bar(total: usize) -> ProgressBar {
 /// Shows the bar of a phase, or a spinner if its number of steps is unknown.
 fn show(bar: &ProgressBar, phase: &Phase) {
     let template = match phase.total {
-        0 => "{prefix} {spinner} {msg}  {elapsed}",
-        _ => "{prefix} {bar:24.cyan/dim} {pos}/{len}  {msg}  {eta} left",
+        0 => "{prefix} {spinner} {wide_msg}  {elapsed}",
+        _ => "{prefix} {bar:24.cyan/dim} {pos}/{len}  {wide_msg}  {eta} left",
     };
     bar.set_prefix(phase.name);
     bar.set_message("");

@@ -2,17 +2,17 @@
 //!
 //! `cargo run --release -p i2slam-odometry --example path -- SEQUENCE OUT.txt [--depth]
 //! [--scale FACTOR] [--stride N] [--fov DEGREES] [--guess FACTOR] [--open]
-//! [--online FILE] [--scratch MB]` writes `world_from_camera` poses in the TUM format, and prints
+//! [--online FILE] [--scratch MB] [--near FILE]` writes `world_from_camera` poses in the TUM format, and prints
 //! their error where the sequence has a true path, also over the deviations that they claim, that of
 //! the poses as they were known when the frames came, that of the last pose as seen from the first ones
 //! (the seam of a loop), and the time of frames and stages.
 //! Depth is used with `--depth`; with `--open` no loop is closed; with `--scratch` pictures take up
-//! to so much memory, and others leave it for a file.
+//! to so much memory, and others leave it for a file. Photographs are matched near the poses of `--near`.
 //! The focal length is taken from the sequence or `--fov`; it is estimated where neither gives it,
 //! or from FACTOR times that of the sequence with `--guess`.
 
 use i2slam_compute::CancellationToken;
-use i2slam_dataset::{OpenOptions, Sequence, write_trajectory};
+use i2slam_dataset::{OpenOptions, Sequence, read_trajectory, write_trajectory};
 use i2slam_eval::trajectory::{
     Alignment, ClaimedPose, DEFAULT_TOLERANCE, DeviationRatios, TrajectoryError,
     absolute_trajectory_error, deviation_ratios,
@@ -62,7 +62,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         front_end = front_end.with_scratch(ScratchStore::new(bytes, std::env::temp_dir()));
     }
     let started = Instant::now();
-    let (mut seconds, mut focal_length_before) = (Vec::new(), front_end.camera().fx);
+    let (mut seconds, mut stamps) = (Vec::new(), Vec::new());
+    let mut focal_length_before = front_end.camera().fx;
     for frame in sequence.stream() {
         let frame = frame?;
         let depth = frame
@@ -71,6 +72,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             .map(|depth| DepthPicture { depth: &depth.image, timestamp: depth.timestamp });
         let pushed = Instant::now();
         let update = front_end.push(&frame.colour, frame.timestamp, depth.as_ref())?;
+        stamps.push(frame.timestamp);
         if update.is_loop_closed {
             println!("a loop is closed when frame {} comes", update.frame);
         }
@@ -90,7 +92,17 @@ fn main() -> Result<(), Box<dyn Error>> {
             stages.enter(stage);
         }
     });
-    let found = front_end.finish(progress)?;
+    let found = match flags.iter().position(|flag| flag == "--near") {
+        Some(place) => {
+            let known = read_trajectory(flags.get(place + 1).ok_or("--near needs a file")?)?;
+            let at = |stamp: &f64| {
+                let near = known.iter().find(|pose| (pose.timestamp - stamp).abs() < 0.01);
+                near.map(|pose| pose.world_from_camera)
+            };
+            front_end.finish_near(&stamps.iter().map(at).collect::<Vec<_>>(), progress)?
+        }
+        None => front_end.finish(progress)?,
+    };
     found.warnings.iter().for_each(|warning| println!("warning: {warning}"));
     println!(
         "{} of {} frames posed, {} keyframes; focal length {:.1} px, deviation {:?}; readout {:.1} ms",

@@ -12,9 +12,11 @@ use crate::intrinsics::focal_length::{Intrinsics, search_focal_length};
 use crate::intrinsics::observability::drop_unobservable_distortion;
 use crate::loops::loop_closure::{close_loops, merge_overlapping_keyframes};
 use crate::online::online_map::{OnlineMap, TrackingStatus};
-use crate::progress::Progress;
+use crate::progress::{Progress, Stage};
+use crate::register::approximate_poses::{register_near, triangulate_at_given_poses};
 use crate::register::dense_constraints::add_dense_constraints;
 use crate::register::initialization::initialize;
+use crate::register::photographs::with_matches;
 use crate::register::position_refinement::refine_positions;
 use crate::register::registration::{
     adjust_all_frames, adjust_globally, adjust_path, adjust_remaining_frames, register_keyframes,
@@ -42,6 +44,8 @@ const DEPTH_CALIBRATION_ROUNDS: usize = 3;
 /// Time between a depth picture and its colour picture up to which it is used, a frame interval
 /// where that is longer [s]: it is read for the velocity of the camera, which hands change within.
 const MAX_DEPTH_DELAY: f64 = 0.1;
+/// Share of the frames that must be posed, or else the path is a given one, if there is one.
+pub const MIN_POSED_SHARE: f64 = 0.6;
 /// Shorter side of a picture, at least [px].
 pub const MIN_SIDE: usize = 48;
 
@@ -192,7 +196,23 @@ impl FrontEnd {
     /// # Errors
     ///
     /// The reason why there is no path; [`OdometryError::Cancelled`] after cancellation.
-    pub fn finish(mut self, progress: Progress) -> Result<Reconstruction, OdometryError> {
+    pub fn finish(self, progress: Progress) -> Result<Reconstruction, OdometryError> {
+        self.finish_near(&[], progress)
+    }
+
+    /// Reconstructs the camera path from all pictures so far, and from `approximate` poses of the accepted
+    /// ones, `world_from_camera` in any world and unit. Those of photographs are adjusted, as far as their
+    /// pictures show that they are not exact. The path of a film is found without; where too few of its frames
+    /// can be posed so, it is the given one.
+    ///
+    /// # Errors
+    ///
+    /// As [`finish`](Self::finish).
+    pub fn finish_near(
+        mut self,
+        approximate: &[Option<Pose<f64>>],
+        progress: Progress,
+    ) -> Result<Reconstruction, OdometryError> {
         self.map.extend();
         self.map.forget_joined_places();
         let timestamps = Arc::clone(&self.map.state.timestamps);
@@ -211,32 +231,27 @@ impl FrontEnd {
         let closes_loops = map.closes_loops;
         let (online, online_poses) = map.into_state_and_poses();
         let online = SfmState { progress: progress.clone(), ..online };
-        let mut state = match photographs.is_unordered() && !online.has_depth() {
+        let is_unordered = photographs.is_unordered() && !online.has_depth();
+        let mut state = match is_unordered {
             true => photographs_state(online, &photographs, &intrinsics),
             false => initial_state(online, &intrinsics),
         };
-        let found = estimate_path(&mut state, adjust_focal);
+        let is_given = match (is_unordered, approximate) {
+            (true, []) => {
+                state = with_matches(state, &photographs, &[]);
+                estimate_path(&mut state, adjust_focal).map(|()| false)
+            }
+            (true, _) => {
+                state = register_near(&state, &photographs, approximate);
+                Ok(false)
+            }
+            (false, _) => estimate_path_or_take(&mut state, approximate, adjust_focal),
+        };
         // A cancelled search may look like any other failure.
         if progress.is_cancelled() {
             return Err(OdometryError::Cancelled);
         }
-        found?;
-        // What follows rests on motion between neighbours in time.
-        if state.photographs.is_none() {
-            register_depth_pictures(&mut state, adjust_focal);
-            correct_rolling_shutter(&mut state, adjust_focal);
-            if closes_loops {
-                close_loops(&mut state, adjust_focal);
-            }
-        }
-        adjust_until_converged(&mut state, adjust_focal);
-        if state.photographs.is_some() && !progress.is_cancelled() {
-            refine_positions(&mut state);
-            adjust_until_converged(&mut state, adjust_focal);
-        }
-        let distortion_dropped = drop_unobservable_distortion(&mut state);
-        add_dense_constraints(&mut state);
-        adjust_remaining_frames(&mut state, adjust_focal);
+        let distortion_dropped = !is_given? && refine_path(&mut state, closes_loops, adjust_focal);
         if progress.is_cancelled() {
             return Err(OdometryError::Cancelled);
         }
@@ -251,6 +266,29 @@ impl FrontEnd {
         let built = build_reconstruction(state, &timestamps, &intrinsics, found, &is_repeat);
         Ok(Reconstruction { online_poses, ..wrong.applied_to(built) })
     }
+}
+
+/// Adjusts a path until it has converged, with what pictures tell of depth, readout and places seen again;
+/// true if lens distortion was not observable, and dropped.
+fn refine_path(state: &mut SfmState, closes_loops: bool, adjust_focal: bool) -> bool {
+    // This rests on motion between neighbours in time.
+    if state.photographs.is_none() {
+        register_depth_pictures(state, adjust_focal);
+        correct_rolling_shutter(state, adjust_focal);
+        if closes_loops {
+            close_loops(state, adjust_focal);
+        }
+    }
+    state.progress.report(Stage::BundleAdjustment, 0, 0);
+    adjust_until_converged(state, adjust_focal);
+    if state.photographs.is_some() && !state.progress.is_cancelled() {
+        refine_positions(state);
+        adjust_until_converged(state, adjust_focal);
+    }
+    let distortion_dropped = drop_unobservable_distortion(state);
+    add_dense_constraints(state);
+    adjust_remaining_frames(state, adjust_focal);
+    distortion_dropped
 }
 
 /// Finds the readout of the rows, and adjusts all frames to it.
@@ -313,25 +351,20 @@ fn initial_state(mut online: SfmState, intrinsics: &Intrinsics) -> SfmState {
     state
 }
 
-/// The state that adjustment of photographs begins with: tracks and verified matches of features, and
-/// every photograph as a keyframe.
+/// The state that adjustment of photographs begins with: tracks, and every photograph as a keyframe.
 fn photographs_state(
     online: SfmState,
     photographs: &PhotoCollection,
     intrinsics: &Intrinsics,
 ) -> SfmState {
-    let progress = online.progress.clone();
     let mut tracks = online.tracks.with_keyframes(photographs.images());
     tracks.drop_estimates();
-    let mut state = SfmState {
+    SfmState {
         timestamps: online.timestamps,
+        progress: online.progress,
         estimates_distortion: matches!(intrinsics, Intrinsics::GuessWithDistortion(_)),
         ..SfmState::new(*intrinsics.camera(), tracks)
-    };
-    let first_track = state.landmarks.len();
-    let (matched, tracks) = photographs.match_all(&state.camera, first_track, &progress);
-    tracks.into_iter().for_each(|track| state.add_track(track));
-    SfmState { photographs: Some(Arc::new(matched)), progress, ..state }
+    }
 }
 
 /// Corrects the rows of all observations for the readout that explains the rotations best; with the
@@ -350,6 +383,26 @@ fn estimate_path(state: &mut SfmState, adjust_focal: bool) -> Result<(), Odometr
         search_focal_length(state)?;
     }
     build_map(state, adjust_focal)
+}
+
+/// Estimates the path of a film, or takes the given one, if there is one, where too few frames are found; true
+/// if it was taken. Depth that was measured is of use in its own unit alone.
+fn estimate_path_or_take(
+    state: &mut SfmState,
+    given: &[Option<Pose<f64>>],
+    adjust_focal: bool,
+) -> Result<bool, OdometryError> {
+    let found = estimate_path(state, adjust_focal);
+    let posed = if found.is_ok() { state.posed_frames().len() } else { 0 };
+    let is_enough = posed as f64 >= MIN_POSED_SHARE * given.len() as f64;
+    if given.is_empty() || is_enough || state.has_depth() || state.progress.is_cancelled() {
+        return found.map(|()| false);
+    }
+    state.reset();
+    state.poses = given.to_vec();
+    triangulate_at_given_poses(state);
+    state.reject_outliers();
+    Ok(true)
 }
 
 /// Adjusts the path until cost and focal length converge: slow bends hardly change one cost.
@@ -437,3 +490,6 @@ fn frames_covered(state: &SfmState) -> usize {
     let posed = keyframes.filter(|(_, frame)| state.poses[**frame].is_some());
     posed.map(|(place, _)| frames_represented(state, place)).sum()
 }
+
+#[cfg(test)]
+mod tests;

@@ -83,6 +83,7 @@ mod segmentation {
 }
 
 mod register {
+    pub(crate) mod approximate_poses;
     pub(crate) mod dense_constraints;
     pub(crate) mod initialization;
     pub(crate) mod photographs;
@@ -147,9 +148,10 @@ pub use depth::registration::register_depth;
 pub use depth::sensor_model::DepthModel;
 pub use diagnosis::pictures::blank_reason;
 pub use error::{OdometryError, PictureError};
-pub use front_end::{FrameUpdate, FrontEnd, MIN_FRAMES, MIN_SIDE};
+pub use front_end::{FrameUpdate, FrontEnd, MIN_FRAMES, MIN_POSED_SHARE, MIN_SIDE};
 pub use intrinsics::focal_length::Intrinsics;
 pub use online::online_map::TrackingStatus;
+pub use online::path_alignment::align_path;
 pub use pose_deviation::{MIN_NEIGHBOURS, NEIGHBOUR_WINDOW, PoseDeviation};
 pub use progress::{Progress, Stage};
 pub use relative_blur::photograph_motions;

@@ -178,6 +178,10 @@ fn reconstruct_into(
         _ => print,
     };
     messages::print_summary(print, &metrics, &map, &folder, is_readout_estimated);
+    if interrupted && job.renders != RenderSelection::None {
+        let folder = folder.display();
+        print_status(&format!("interrupted before all renders: i2slam render {folder} makes them"));
+    }
     ended
 }
 

@@ -1,13 +1,19 @@
 //! Plain folders: colour beside depth, or colour alone.
 
-use super::file_pairing::{FilePairs, list_images, stamped_by_name};
+use super::file_pairing::{FilePairs, file_stem, list_images, stamped_by_name};
 use super::tum::{StampedImages, ground_truth, list_by_time};
 use super::{FrameEntry, Layout, Listing};
+use crate::text::counted;
 use crate::{DatasetError, OpenOptions};
 use std::path::{Path, PathBuf};
 
 const COLOUR_NAMES: [&str; 5] = ["colour", "color", "rgb", "images", "image"];
 const DEPTH_NAMES: [&str; 2] = ["depth", "depths"];
+
+/// Formats of photographs, of cameras and telephones, that are not read.
+const UNREAD_EXTENSIONS: [&str; 13] = [
+    "heic", "heif", "avif", "webp", "tif", "tiff", "dng", "cr2", "cr3", "nef", "arw", "orf", "rw2",
+];
 
 /// Depth of subfolders searched for images.
 const MAX_FOLDER_DEPTH: usize = 4;
@@ -45,18 +51,26 @@ pub(super) fn list(
 ) -> Result<Listing, DatasetError> {
     let colour = list_images(&folders.colour, |_| true)?;
     let depth = folders.depth.as_ref().map(|depth| list_images(depth, |_| true)).transpose()?;
+    let unread = unread_warning(&folders.colour);
     // Stamps count only if all files have them.
     let depth_stamps = depth.as_ref().map(|depth| stamped_by_name(depth));
     if let (Some(colour), None | Some(Some(_))) = (stamped_by_name(&colour), &depth_stamps) {
         let depth = depth_stamps.flatten();
-        return list_by_time(folder, Layout::Plain, StampedImages { colour, depth }, options);
+        let listing =
+            list_by_time(folder, Layout::Plain, StampedImages { colour, depth }, options)?;
+        return Ok(with_warning(listing, unread));
     }
     let pairs = match depth {
         Some(depth) => FilePairs::new(folder, colour, depth, options.depth_pairing)?,
         None => FilePairs::colour_only(colour),
     };
-    let listing = pairs.list_by_index(Layout::Plain, frame_rate);
+    let listing = with_warning(pairs.list_by_index(Layout::Plain, frame_rate), unread);
     Ok(Listing { ground_truth: ground_truth(folder), ..listing })
+}
+
+fn with_warning(mut listing: Listing, warning: Option<String>) -> Listing {
+    listing.warnings.extend(warning);
+    listing
 }
 
 /// Images without depth in a folder and its subfolders, in order of their paths, `1 / frame_rate`
@@ -68,6 +82,23 @@ pub(crate) fn list_images_below(folder: &Path, frame_rate: f64) -> Option<Listin
     };
     let entries: Vec<FrameEntry> = files.into_iter().enumerate().map(entry).collect();
     (!entries.is_empty()).then(|| Listing::new(Layout::Plain, entries))
+}
+
+/// A warning if a folder holds photographs in formats that are not read.
+fn unread_warning(folder: &Path) -> Option<String> {
+    let listing = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let is_unread = |path: &PathBuf| {
+        let extension = path.extension().and_then(|e| e.to_str()).map(str::to_lowercase);
+        let is_hidden = file_stem(path).starts_with('.');
+        !is_hidden && extension.is_some_and(|e| UNREAD_EXTENSIONS.contains(&e.as_str()))
+    };
+    let files: Vec<PathBuf> = listing.map(|entry| entry.path()).filter(is_unread).collect();
+    let first = files.iter().min()?;
+    Some(format!(
+        "left out {} in a format that is not read ({}): convert to JPEG or PNG",
+        counted(files.len(), "photograph"),
+        first.display()
+    ))
 }
 
 fn images_in_tree(folder: &Path, depth: usize) -> Vec<PathBuf> {

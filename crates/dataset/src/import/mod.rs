@@ -108,6 +108,8 @@ pub struct ImportedKeyframes {
     pub has_depth: bool,
     /// Whether depth has a variance.
     pub has_variance: bool,
+    /// Whether depth is that of a few points alone.
+    pub has_sparse_depth: bool,
     /// Warnings for the user, a sentence each.
     pub warnings: Vec<String>,
     source: KeyframeSource,
@@ -178,6 +180,7 @@ impl ImportedKeyframes {
             unmatched,
             has_depth: source.has_depth(),
             has_variance: source.has_variance(),
+            has_sparse_depth: source.has_sparse_depth(),
             warnings,
             source,
         }

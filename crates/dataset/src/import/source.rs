@@ -138,6 +138,10 @@ impl KeyframeSource {
         }
     }
 
+    pub(super) fn has_sparse_depth(&self) -> bool {
+        matches!(self.depth, DepthSource::Sparse(_))
+    }
+
     pub(super) fn sequence(&self) -> Option<&Sequence> {
         match &self.images {
             ImageSource::Sequence(sequence) => Some(sequence),

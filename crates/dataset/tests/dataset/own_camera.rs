@@ -73,6 +73,17 @@ fn the_focal_length_comes_from_exif_data() {
 }
 
 #[test]
+fn photographs_in_other_formats_are_told() {
+    let folder = pictures(None);
+    assert!(!open(&folder, &alone()).warnings.iter().any(|w| w.contains("left out")));
+    for name in ["IMG_0007.HEIC", "IMG_0003.dng", "notes.txt", "._IMG_0001.heic"] {
+        folder.write(name, b"...");
+    }
+    let warnings = open(&folder, &alone()).warnings;
+    assert_warns(&warnings, &["left out 2 photographs", "IMG_0003.dng", "JPEG or PNG"]);
+}
+
+#[test]
 fn a_guess_must_be_asked_for() {
     let folder = pictures(None);
     let options = OpenOptions { guess_camera: false, ..alone() };

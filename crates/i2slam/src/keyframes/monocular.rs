@@ -79,11 +79,26 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
     pub fn find(
         intrinsics: Intrinsics,
         count: usize,
+        load: L,
+        progress: &OdometryProgress,
+    ) -> Result<Self, MonocularError> {
+        Self::find_near((intrinsics, &[]), count, load, progress)
+    }
+
+    /// Finds the camera path as [`find`](Self::find) does, from approximate `poses` of all positions, if there
+    /// are any.
+    ///
+    /// # Errors
+    ///
+    /// As [`find`](Self::find).
+    pub fn find_near(
+        (intrinsics, poses): (Intrinsics, &[Pose<f64>]),
+        count: usize,
         mut load: L,
         progress: &OdometryProgress,
     ) -> Result<Self, MonocularError> {
         TrackedPictures::track(intrinsics, count, &mut load, progress, |_, _, _| {})
-            .finish(load, progress)
+            .finish_near(poses, load, progress)
     }
 
     /// Keyframes of a path through pictures that were given to the front end.

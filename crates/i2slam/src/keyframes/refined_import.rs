@@ -10,15 +10,15 @@ use i2slam_compute::{CancellationToken, correlation};
 use i2slam_dataset::Frame;
 use i2slam_geometry::{Camera, Image, Pose, Tangent};
 use i2slam_odometry::{
-    DenseDepthEstimator, Keyframe, KeyframePictures, PosedView, Reconstruction, SparseDepth,
-    photograph_motions,
+    DenseDepthEstimator, Keyframe, KeyframePictures, MIN_POSED_SHARE, PosedView, Reconstruction,
+    SparseDepth, align_path, photograph_motions,
 };
 use std::sync::Arc;
 
-/// Least share of the keyframes that the front end must pose.
-const MIN_POSED_SHARE: f64 = 0.6;
 /// Least gain in picture correlation for which the poses of the front end are used.
 const MIN_CORRELATION_GAIN: f64 = 0.02;
+/// Angle by which a pose of photographs is another [rad].
+const MIN_TURN: f64 = 1e-4;
 /// Channel in which pictures are compared.
 const GREEN: usize = 1;
 /// Half side of the compared patches [px].
@@ -63,9 +63,12 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> RefinedImport<L> {
         }
         let path = OdometryPath::new(&poses, &found, |frame| odometry.position(frame))?;
         let correlations = path.correlations([&poses, &path.poses], &mut load, &cancellation);
-        // Photographs are too far apart for a comparison of patches.
-        let is_better = correlations[1] > correlations[0] + MIN_CORRELATION_GAIN;
-        let is_refined = is_better && !found.is_unordered;
+        // Poses of photographs, too far apart for a comparison of patches, were adjusted from the imported
+        // ones.
+        let is_refined = match found.is_unordered {
+            true => path.is_turned_from(&poses),
+            false => correlations[1] > correlations[0] + MIN_CORRELATION_GAIN,
+        };
         if is_refined {
             poses.clone_from(&path.poses);
         }
@@ -96,6 +99,13 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> RefinedImport<L> {
     pub fn summary(&self) -> String {
         let depth = if self.has_depth { "" } else { "; depth is found by matching" };
         let [imported, found] = self.correlations;
+        if self.is_unordered {
+            let which = match self.is_refined {
+                true => "poses are adjusted to what the photographs show",
+                false => "the imported poses are exact as far as the photographs tell, and kept",
+            };
+            return format!("{which}{depth}");
+        }
         let which = match self.is_refined {
             true => "poses are refined by their pictures",
             false => "the imported poses are kept",
@@ -174,7 +184,17 @@ impl<'a> OdometryPath<'a> {
             None => scale(input_poses, &at)?,
         };
         let places = found.keyframes.iter().map(|k| place(k.index)).collect::<Option<Vec<_>>>()?;
-        Some(Self { found, places, scale, poses: aligned_poses(input_poses, &at, scale)? })
+        let poses = match found.is_unordered {
+            true => nearest_poses(input_poses, &at)?,
+            false => aligned_poses(input_poses, &at, scale)?,
+        };
+        Some(Self { found, places, scale, poses })
+    }
+
+    /// True if any of the poses is turned against one of the files.
+    fn is_turned_from(&self, input_poses: &[Pose<f64>]) -> bool {
+        let turn = |(found, input): (&Pose<f64>, &Pose<f64>)| input.local(*found).rotation.norm();
+        self.poses.iter().zip(input_poses).map(turn).any(|turn| turn > MIN_TURN)
     }
 
     /// Landmark depths of the keyframe of `found` nearest to an imported one.
@@ -272,6 +292,20 @@ fn scale(input_poses: &[Pose<f64>], found: &[Option<Pose<f64>>]) -> Option<f64> 
         }
     }
     Some(product / square).filter(|s| s.is_finite() && *s > 0.0)
+}
+
+/// The odometry's poses, moved as a whole as near as possible to those of the files, which missing ones keep.
+fn nearest_poses(input_poses: &[Pose<f64>], found: &[Option<Pose<f64>>]) -> Option<Vec<Pose<f64>>> {
+    let pairs: Vec<_> = found
+        .iter()
+        .zip(input_poses)
+        .filter_map(|(found, input)| Some(((*found)?, *input)))
+        .collect();
+    let by = align_path(&pairs)?;
+    let moved = |(found, input): (&Option<Pose<f64>>, &Pose<f64>)| {
+        found.map_or(*input, |found| by.apply_to_pose(found))
+    };
+    Some(found.iter().zip(input_poses).map(moved).collect())
 }
 
 /// The odometry's poses in the files' world; missing ones continue by the motion in the files.
@@ -440,6 +474,21 @@ mod tests {
         let poses = aligned_poses(&input_poses, &found, 1.0).expect("one is known");
         for (pose, due) in poses.iter().zip(&input_poses) {
             assert!((pose.translation - due.translation).norm() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn photographs_are_moved_as_a_whole() {
+        let input_poses: Vec<Pose<f64>> = (0..6).map(truth).collect();
+        let turned = Pose::new(truth(0).rotation, Vec3::new(0.3, 0.2, 0.1));
+        let moved = |place: usize| {
+            let Pose { rotation, translation } = turned * truth(place);
+            (place != 4).then_some(Pose { rotation, translation: translation * 0.4 })
+        };
+        let found: Vec<_> = (0..6).map(moved).collect();
+        let poses = nearest_poses(&input_poses, &found).expect("a path");
+        for (pose, due) in poses.iter().zip(&input_poses) {
+            assert!((pose.translation - due.translation).norm() < 1e-9);
         }
     }
 }

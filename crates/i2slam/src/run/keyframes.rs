@@ -258,35 +258,36 @@ pub(super) fn imported(
 }
 
 /// Imported keyframes with poses refined by visual odometry, where these come without depth with its
-/// dense depth, too; none if they come with depth that was computed with poses, or if no path is
-/// found in their pictures, which is noted.
+/// dense depth in place of that of a few points, too; none if they come with dense depth that was computed
+/// with poses, or if no path is found in their pictures, which is noted.
 fn refined(files: &ImportedKeyframes, context: &RunContext) -> Option<Box<dyn KeyframeSource>> {
-    if files.has_variance {
+    if files.has_variance && !files.has_sparse_depth {
         return None;
     }
-    let kept = match files.has_depth {
-        true => "the imported poses stay as they are",
-        false => "the imported poses stay as they are, without depth",
+    let kept = match (files.has_sparse_depth, files.has_depth) {
+        (true, _) => "the imported poses stay as they are, with depth at their points alone",
+        (false, true) => "the imported poses stay as they are",
+        (false, false) => "the imported poses stay as they are, without depth",
     };
     let note = |line: &str| context.observer.note(line);
     let large = files.at_least(ODOMETRY_SIDE);
     let load = |place: usize| imported_picture(&large, place);
     let camera = Intrinsics::Known(large.camera);
-    let found =
-        match MonocularSource::find(camera, large.len(), load, &odometry_progress(context, None)) {
-            Ok(found) => found,
-            Err(MonocularError::NoPath { failure: OdometryError::Cancelled, .. }) => {
-                note("ended during visual odometry: the imported poses stay as they are");
-                return None;
-            }
-            Err(failure) => {
-                note(&format!("{kept}: {failure}"));
-                return None;
-            }
-        };
+    let poses: Vec<Pose<f64>> = files.keyframes.iter().map(|k| k.world_from_camera).collect();
+    let progress = odometry_progress(context, None);
+    let found = match MonocularSource::find_near((camera, &poses), large.len(), load, &progress) {
+        Ok(found) => found,
+        Err(MonocularError::NoPath { failure: OdometryError::Cancelled, .. }) => {
+            note("ended during visual odometry: the imported poses stay as they are");
+            return None;
+        }
+        Err(failure) => {
+            note(&format!("{kept}: {failure}"));
+            return None;
+        }
+    };
     let own = files.clone();
     let load = move |place: usize| imported_picture(&own, place);
-    let poses = files.keyframes.iter().map(|keyframe| keyframe.world_from_camera).collect();
     let refined =
         RefinedImport::new(files.camera, poses, &found, load, context.cancellation.clone());
     let Some(refined) = refined else {
@@ -300,6 +301,7 @@ fn refined(files: &ImportedKeyframes, context: &RunContext) -> Option<Box<dyn Ke
 fn imported_picture(files: &ImportedKeyframes, place: usize) -> Result<Frame, PictureError> {
     let keyframe = files.load(place)?;
     let (index, timestamp) = (keyframe.index, keyframe.timestamp);
-    let depth = keyframe.depth.map(|depth| DepthPicture { image: Arc::new(depth), timestamp });
+    let measured = keyframe.depth.filter(|_| !files.has_sparse_depth);
+    let depth = measured.map(|depth| DepthPicture { image: Arc::new(depth), timestamp });
     Ok(Frame { depth, ..Frame::colour_only(index, timestamp, keyframe.colour) })
 }

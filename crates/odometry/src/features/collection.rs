@@ -8,7 +8,8 @@ use crate::progress::{Progress, Stage};
 use crate::track::pyramid::Pyramid;
 use crate::track::thumbnail::KeyframeImage;
 use crate::track::tracks::{Observation, Track};
-use i2slam_geometry::{Camera, Pose, Vec3};
+use i2slam_compute::median;
+use i2slam_geometry::{Camera, Pose, Rotation, Vec3};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
@@ -32,6 +33,9 @@ const REPORTED_PAIRS: usize = 8;
 /// axes of two pictures beyond which they show no surface both [rad].
 const MAX_CONTRADICTION: f64 = 0.6;
 const MAX_AXIS_ANGLE: f64 = 1.4;
+/// Distance of matches from the epipolar lines of approximate poses, at most, over the median of all: six
+/// standard deviations of normally distributed ones.
+const MAX_DISTANCE_OVER_MEDIAN: f64 = 4.0;
 
 /// A picture with its features.
 #[derive(Clone, Debug)]
@@ -69,6 +73,40 @@ pub(crate) struct MatchedPhotographs {
     pub(crate) features: BTreeMap<usize, Vec<PhotographFeature>>,
     /// Frames whose pose was found to be wrong once.
     pub(crate) registered_anew: BTreeSet<usize>,
+}
+
+/// Leaves out what contradicts approximate poses, `world_from_camera` of every view: pairs whose relative
+/// rotation is another, and matches that lie off their epipolar lines by far more than most.
+fn consistent_with_poses(
+    camera: &Camera<f64>,
+    (features, poses): (&[&Features], &[Option<Pose<f64>>]),
+    mut matched: Vec<((usize, usize), MatchedPair)>,
+) -> Vec<((usize, usize), MatchedPair)> {
+    let relative = |(a, b): (usize, usize)| Some(poses[b]?.inverse() * poses[a]?);
+    let of_pair = |(a, b): (usize, usize)| [features[a], features[b]];
+    let angle = |(pair, found): &((usize, usize), MatchedPair)| {
+        let verified = found.verified.as_ref()?.second_from_first;
+        Some((relative(*pair)?.rotation.inverse() * verified.rotation).log().norm())
+    };
+    matched.retain(|(pair, _)| relative(*pair).is_none_or(|pose| is_facing(pose.rotation)));
+    let is_near = |pair: &_| angle(pair).is_none_or(|angle| angle < MAX_CONTRADICTION);
+    matched.retain(is_near);
+    let distances = |(pair, found): &((usize, usize), MatchedPair)| {
+        Some(found.distances_from(camera, of_pair(*pair), &relative(*pair)?))
+    };
+    let mut distances: Vec<f64> = matched.iter().filter_map(distances).flatten().collect();
+    let Some(usual) = median(&mut distances) else { return matched };
+    for (pair, found) in &mut matched {
+        if let Some(pose) = relative(*pair) {
+            found.keep_near(camera, of_pair(*pair), (&pose, MAX_DISTANCE_OVER_MEDIAN * usual));
+        }
+    }
+    matched
+}
+
+/// True if the axes of two pictures, one turned against the other, are such that they may show one surface.
+fn is_facing(between: Rotation<f64>) -> bool {
+    between.rotate(Vec3::new(0.0, 0.0, 1.0)).z > MAX_AXIS_ANGLE.cos()
 }
 
 /// Pictures at which tracking broke off, on both sides, as long as they may be photographs.
@@ -120,27 +158,37 @@ impl PhotoCollection {
         self.views.values().map(|view| &view.image)
     }
 
-    /// Matches the features of all photographs, and verifies them by relative poses; also the points that
-    /// features of at least two show, whose indices begin at `first_track`.
+    /// Matches the features of all photographs, and verifies them by relative poses, near `approximate` ones
+    /// of the frames where these are known; also the points that features of at least two show, whose indices
+    /// begin at `first_track`.
     pub(crate) fn match_all(
         &self,
         camera: &Camera<f64>,
+        approximate: &[Option<Pose<f64>>],
         first_track: usize,
         progress: &Progress,
     ) -> (MatchedPhotographs, Vec<Track>) {
         let frames: Vec<usize> = self.views.keys().copied().collect();
         let features: Vec<&Features> = self.views.values().map(|v| v.features.as_ref()).collect();
         let compared = compared_pairs(&features);
+        let pose = |frame: &usize| approximate.get(*frame).copied().flatten();
+        let poses: Vec<Option<Pose<f64>>> = frames.iter().map(pose).collect();
         let matched = |&(a, b): &(usize, usize)| match progress.is_cancelled() {
             true => None,
-            false => Some(((a, b), match_pair(camera, [features[a], features[b]]))),
+            false => {
+                let between = poses[a].zip(poses[b]).map(|(a, b)| b.inverse() * a);
+                Some(((a, b), match_pair(camera, [features[a], features[b]], between)))
+            }
         };
         let mut all: Vec<((usize, usize), MatchedPair)> = Vec::with_capacity(compared.len());
         for (chunk, pairs) in compared.chunks(REPORTED_PAIRS).enumerate() {
             progress.report(Stage::Matching, chunk * REPORTED_PAIRS, compared.len());
             all.par_extend(pairs.par_iter().filter_map(matched));
         }
-        let matched = without_contradictions(features.len(), all);
+        let matched = match approximate {
+            [] => without_contradictions(features.len(), all),
+            _ => consistent_with_poses(camera, (&features, &poses), all),
+        };
         let (tracks, track_of) = joined(&frames, &features, &matched);
         let pair = |((a, b), pair): ((usize, usize), MatchedPair)| PhotographPair {
             first: frames[a],
@@ -214,12 +262,10 @@ fn without_contradictions(
     let is_possible = |pair: &((usize, usize), MatchedPair)| {
         let [(part, first), (other, second)] = [found[pair.0.0], found[pair.0.1]];
         let between = second * first.inverse();
-        let axis = Vec3::new(0.0, 0.0, 1.0);
-        let is_facing = between.rotate(axis).z > MAX_AXIS_ANGLE.cos();
         let agrees = rotation(pair).is_none_or(|own| {
             (between.inverse() * own.second_from_first).log().norm() < MAX_CONTRADICTION
         });
-        part != other || (is_facing && agrees)
+        part != other || (is_facing(between) && agrees)
     };
     let kept: Vec<bool> = matched.iter().map(is_possible).collect();
     matched.into_iter().zip(kept).filter(|(_, kept)| *kept).map(|(pair, _)| pair).collect()

@@ -44,19 +44,63 @@ pub(super) struct MatchedPair {
     pub(super) verified: Option<VerifiedPair>,
 }
 
-/// Matches the features of two pictures, and verifies them.
-pub(super) fn match_pair(camera: &Camera<f64>, features: [&Features; 2]) -> MatchedPair {
-    let Matches { distinct, second_best } = match_features(features[0], features[1]);
-    let verified = verify(camera, features, (&distinct, &second_best));
-    MatchedPair { distinct, verified }
+/// Matches the features of two pictures, and verifies them by a relative pose, which is searched from an
+/// `approximate` one where there is one.
+pub(super) fn match_pair(
+    camera: &Camera<f64>,
+    features: [&Features; 2],
+    approximate: Option<Pose<f64>>,
+) -> MatchedPair {
+    let matches = match_features(features[0], features[1]);
+    let verified = verify(camera, features, &matches, approximate);
+    MatchedPair { distinct: matches.distinct, verified }
+}
+
+impl MatchedPair {
+    /// Distances of the verified matches from the epipolar lines of another relative pose [px].
+    pub(super) fn distances_from(
+        &self,
+        camera: &Camera<f64>,
+        features: [&Features; 2],
+        second_from_first: &Pose<f64>,
+    ) -> Vec<f64> {
+        let Some(verified) = &self.verified else { return Vec::new() };
+        let pairs = rays(camera, features, &verified.matches);
+        pairs.iter().map(|rays| error(camera, second_from_first, rays)).collect()
+    }
+
+    /// Leaves out matches that lie farther than so many pixels from the epipolar lines of another relative
+    /// pose; too few that are left verify nothing.
+    pub(super) fn keep_near(
+        &mut self,
+        camera: &Camera<f64>,
+        features: [&Features; 2],
+        (second_from_first, max_distance): (&Pose<f64>, f64),
+    ) {
+        let keep = |matches: &mut Vec<FeatureMatch>| {
+            let pairs = rays(camera, features, matches);
+            let near = |(m, rays): (&FeatureMatch, &RayPair)| {
+                (error(camera, second_from_first, rays) < max_distance).then_some(*m)
+            };
+            *matches = matches.iter().zip(&pairs).filter_map(near).collect();
+        };
+        keep(&mut self.distinct);
+        let verified = self.verified.take().map(|mut verified| {
+            keep(&mut verified.matches);
+            verified
+        });
+        self.verified =
+            verified.filter(|pair| distinct_places(features, &pair.matches) >= MIN_INLIERS);
+    }
 }
 
 fn verify(
     camera: &Camera<f64>,
     features: [&Features; 2],
-    (matches, second_best): (&[FeatureMatch], &[(usize, usize)]),
+    Matches { distinct: matches, second_best }: &Matches,
+    approximate: Option<Pose<f64>>,
 ) -> Option<VerifiedPair> {
-    let pose = relative_pose(camera, features, matches)?;
+    let pose = relative_pose(camera, features, matches, approximate)?;
     let pairs = rays(camera, features, matches);
     let agreeing =
         |(_, rays): &(&FeatureMatch, &RayPair)| error(camera, &pose, rays) < MAX_EPIPOLAR_DISTANCE;
@@ -71,17 +115,20 @@ fn verify(
     Some(VerifiedPair { second_from_first, matches: inliers })
 }
 
-/// The relative pose of least truncated cost.
+/// The relative pose of least truncated cost, searched from an approximate one where there is one.
 fn relative_pose(
     camera: &Camera<f64>,
     features: [&Features; 2],
     matches: &[FeatureMatch],
+    approximate: Option<Pose<f64>>,
 ) -> Option<Pose<f64>> {
     if matches.len() < MIN_INLIERS {
         return None;
     }
     let pairs = rays(camera, features, matches);
-    let mut start = orbit_poses(&pairs);
+    let mut orbit = orbit_poses(&pairs);
+    let approximate = approximate.and_then(with_unit_baseline);
+    let mut start = |random: &mut Random| approximate.unwrap_or_else(|| orbit(random));
     let mut random = Random::new(matches.len() as u64);
     let mut best: Option<(f64, Pose<f64>)> = None;
     for hypothesis in 0..HYPOTHESES {
@@ -105,6 +152,12 @@ fn relative_pose(
     let near: Vec<FeatureMatch> =
         matches.iter().zip(&pairs).filter(is_near).map(|(m, _)| *m).collect();
     refined_pose(camera, features, pose, &near)
+}
+
+/// The pose with a translation of length 1, unless it is none.
+fn with_unit_baseline(pose: Pose<f64>) -> Option<Pose<f64>> {
+    let length = Some(pose.translation.norm()).filter(|length| *length > 0.0)?;
+    Some(Pose { translation: pose.translation * length.recip(), ..pose })
 }
 
 /// The pose of least robust cost over verified matches, from `start` on.

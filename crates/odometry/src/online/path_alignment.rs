@@ -14,7 +14,7 @@ pub(crate) type PosePair = (Pose<f64>, Pose<f64>);
 ///
 /// `a` now and `b` before, in the sums from their means: `a`, which more frames have corrected, has the
 /// smaller errors, and those of `b` bias nothing. `None` where the centres fix no scale.
-pub(crate) fn align_path(pairs: &[PosePair]) -> Option<Similarity<f64>> {
+pub fn align_path(pairs: &[(Pose<f64>, Pose<f64>)]) -> Option<Similarity<f64>> {
     let mean = |of: &dyn Fn(&PosePair) -> Vec3<f64>| {
         pairs.iter().map(of).fold(Vec3::zero(), |sum, v| sum + v) * (pairs.len() as f64).recip()
     };

@@ -1,6 +1,8 @@
 //! Registration of photographs in any order, by matches of their features with those of landmarks.
 
-use crate::features::collection::{MatchedPhotographs, PhotographFeature, PhotographPair};
+use crate::features::collection::{
+    MatchedPhotographs, PhotoCollection, PhotographFeature, PhotographPair,
+};
 use crate::features::{MAX_EPIPOLAR_DISTANCE, POSITION_SIGMA};
 use crate::multiview::a_contrario::is_no_chance;
 use crate::multiview::landmark::{Landmark, Match, reprojection_error};
@@ -47,6 +49,18 @@ struct Localization {
     world_from_camera: Pose<f64>,
     /// Its features that agree, and the tracks whose landmarks they show.
     agreeing: Vec<(usize, usize)>,
+}
+
+/// The state with matches of all photographs, near the epipolar lines of approximate poses if there are any.
+pub(crate) fn with_matches(
+    mut state: SfmState,
+    photographs: &PhotoCollection,
+    approximate: &[Option<Pose<f64>>],
+) -> SfmState {
+    let (first, progress) = (state.landmarks.len(), state.progress.clone());
+    let (matched, tracks) = photographs.match_all(&state.camera, approximate, first, &progress);
+    tracks.into_iter().for_each(|track| state.add_track(track));
+    SfmState { photographs: Some(Arc::new(matched)), ..state }
 }
 
 /// Registers the photograph with most features that agree on a pose; where none is left, one of the

@@ -8,7 +8,7 @@ use i2slam_geometry::Pose;
 /// Reprojection error of an outlier [standard deviations].
 const OUTLIER_ERROR: f64 = 6.0;
 /// Largest factor between residuals and the tracker's deviations.
-const MAX_NOISE_SCALE: f64 = 4.0;
+pub(crate) const MAX_NOISE_SCALE: f64 = 4.0;
 
 impl SfmState {
     /// Marks observations that their landmark does not explain as outliers, and drops landmarks

@@ -64,6 +64,9 @@ pub(crate) fn export(arguments: &Export) -> Result<(), Failure> {
     Ok(())
 }
 
+/// Triangles above which larger voxels are advised: some 20 MB.
+const MANY_TRIANGLES: usize = 1_000_000;
+
 /// Writes the file or folder; says what is in it.
 fn write(arguments: &Export, scene: &Scene, watch: &Watch<'_>) -> Result<String, Failure> {
     let out = &arguments.out;
@@ -139,7 +142,12 @@ fn write_mesh(arguments: &Export, scene: &Scene, watch: &Watch<'_>) -> Result<St
         true => mesh::write_ply(file, &mesh, scene, &mark),
         false => mesh::write_glb(file, &mesh, scene, &mark),
     })?;
-    Ok(format!("{}, voxels of {voxel:.4}", counted(mesh.triangles(), "triangle")))
+    let count = mesh.triangles();
+    let advice = match count > MANY_TRIANGLES {
+        true => format!(" (--voxel {:.4} gives a quarter of them)", 2.0 * voxel),
+        false => String::new(),
+    };
+    Ok(format!("{}, voxels of {voxel:.4}{advice}", counted(count, "triangle")))
 }
 
 fn write_text(out: &Path, text: &str) -> Result<(), Failure> {

@@ -3,7 +3,7 @@
 use super::super::PictureError;
 use super::{MonocularError, MonocularSource, in_usual_unit};
 use i2slam_dataset::Frame;
-use i2slam_geometry::Camera;
+use i2slam_geometry::{Camera, Pose};
 use i2slam_odometry::{
     DepthPicture, FrameUpdate, FrontEnd, Intrinsics, OdometryError, Progress as OdometryProgress,
     Stage,
@@ -113,10 +113,29 @@ impl TrackedPictures {
     where
         L: FnMut(usize) -> Result<Frame, PictureError>,
     {
+        self.finish_near(&[], load, progress)
+    }
+
+    /// Finds the path of all pictures from approximate `poses` by position, if there are any; `load` reads
+    /// those of keyframes again, in order.
+    pub(crate) fn finish_near<L>(
+        self,
+        poses: &[Pose<f64>],
+        load: L,
+        progress: &OdometryProgress,
+    ) -> Result<MonocularSource<L>, MonocularError>
+    where
+        L: FnMut(usize) -> Result<Frame, PictureError>,
+    {
         let Self { front_end, given, .. } = self;
         let found = match progress.is_cancelled() {
             true => Err(OdometryError::Cancelled),
-            false => front_end.finish(progress.clone()),
+            false => {
+                let of_accepted = given.positions.iter().map(|place| poses.get(*place).copied());
+                let poses: Vec<_> =
+                    if poses.is_empty() { Vec::new() } else { of_accepted.collect() };
+                front_end.finish_near(&poses, progress.clone())
+            }
         };
         match found {
             Ok(path) => Ok(MonocularSource::of_path(in_usual_unit(path), given, load)),

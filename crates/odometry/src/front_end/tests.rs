@@ -1,0 +1,48 @@
+use super::*;
+use crate::fixtures;
+use i2slam_geometry::{Rotation, Vec3};
+
+fn pose(frame: usize) -> Pose<f64> {
+    let t = frame as f64;
+    Pose::new(Rotation::exp(Vec3::new(0.0, 0.02 * t, 0.0)), Vec3::new(0.1 * t, 0.0, 0.0))
+}
+
+/// A film in which so many points begin in every frame.
+fn film(points: usize) -> SfmState {
+    let observe = |point: Vec3<f64>, frame: usize, _: &[f64]| {
+        let (u, v) = fixtures::camera().project(pose(frame).inverse() * point);
+        Some([u, v])
+    };
+    let mut state = fixtures::state((20, points, 2), [150.0, 110.0], pose, observe);
+    state.reset();
+    state
+}
+
+#[test]
+fn a_film_of_too_few_points_has_the_given_path() {
+    let given: Vec<_> = (0..20).map(|frame| Some(pose(frame))).collect();
+    let mut state = film(2);
+    assert!(matches!(
+        estimate_path_or_take(&mut state, &[], false),
+        Err(OdometryError::TooFewPoints)
+    ));
+    assert!(matches!(estimate_path_or_take(&mut state, &given, false), Ok(true)));
+    assert_eq!(state.poses, given);
+    assert!(state.landmarks.iter().flatten().count() > 30);
+}
+
+#[test]
+fn a_film_whose_path_is_found_leaves_the_given_one() {
+    let off =
+        |frame: usize| Pose::new(Rotation::identity(), Vec3::new(0.0, 0.05 * frame as f64, 0.0));
+    let given: Vec<_> = (0..20).map(|frame| Some(off(frame) * pose(frame))).collect();
+    let mut state = film(20);
+    assert!(matches!(estimate_path_or_take(&mut state, &given, false), Ok(false)));
+    let extent = |poses: &[Option<Pose<f64>>]| {
+        let at = |frame: usize| poses[frame].expect("posed").translation;
+        (at(19) - at(0), at(10) - at(0))
+    };
+    let (whole, half) = extent(&state.poses);
+    // Along a line, in any unit.
+    assert!((whole * (half.norm() / whole.norm()) - half).norm() < 0.02 * half.norm());
+}
