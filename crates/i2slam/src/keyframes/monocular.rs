@@ -8,10 +8,10 @@ use super::delivery::{
 use super::{KeyframeSource, PictureError, PosedKeyframe};
 use i2slam_compute::CancellationToken;
 use i2slam_dataset::Frame;
-use i2slam_geometry::{Camera, Pose, StampedPose, Tangent};
+use i2slam_geometry::{Camera, Pose, StampedPose, Tangent, Vec3};
 use i2slam_odometry::{
     DenseDepthEstimator, KeyframePictures, MAX_KEYFRAME_DISTANCE, MAX_PHOTOGRAPH_DISTANCE,
-    PoseDeviation, Reconstruction, photograph_motions,
+    MIN_POSED_SHARE, PoseDeviation, Reconstruction, align_path, photograph_motions,
 };
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use thiserror::Error;
@@ -132,6 +132,26 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
             coming,
             between,
         }
+    }
+
+    /// Moves the path as a whole as near as possible to given poses by position, in their unit of length, with
+    /// measured depth in metres. `None` where fewer than [`MIN_POSED_SHARE`] of them are found.
+    pub(crate) fn near(mut self, given: &[Pose<f64>]) -> Option<Self> {
+        let found = self.reconstruction;
+        let pair =
+            |(place, pose): (&usize, &Option<Pose<f64>>)| Some(((*pose)?, *given.get(*place)?));
+        let pairs: Vec<_> = self.positions.iter().zip(&found.poses).filter_map(pair).collect();
+        if (pairs.len() as f64) < MIN_POSED_SHARE * given.len() as f64 {
+            return None;
+        }
+        let by = align_path(&pairs)?;
+        let scale = if found.depth_model.is_some() { 1.0 } else { by.scale };
+        let sum = pairs.iter().fold(Vec3::zero(), |sum, (pose, _)| sum + pose.translation);
+        let middle = sum * (pairs.len() as f64).recip();
+        let shift = by.apply(middle) - by.rotation.rotate(middle) * scale;
+        self.reconstruction = found.scaled(scale);
+        self.reconstruction.transform(&Pose::new(by.rotation, shift));
+        Some(self)
     }
 
     /// Delivers dense depth instead of landmarks alone, until `cancellation` is cancelled.

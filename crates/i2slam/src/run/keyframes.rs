@@ -254,13 +254,41 @@ pub(super) fn imported(
         import_options.depth != ImportDepth::None && options.config.keyframed.refine_imported;
     let refined = refines.then(|| refined(source.files(), context)).flatten();
     source.files().warnings.iter().for_each(|warning| context.warn(warning.as_str()));
-    Ok(keyframes_of(refined.unwrap_or_else(|| Box::new(source)), count, frame_rate))
+    Ok(match refined {
+        None => keyframes_of(Box::new(source), count, frame_rate),
+        Some(Refined::Keyframes(refined)) => keyframes_of(refined, count, frame_rate),
+        Some(Refined::Path(path)) => {
+            let pictures = source.files().clone();
+            let between = path.non_keyframes(move |place| imported_picture(&pictures, place));
+            let (between, keyframes) = (Box::new(between), path.remaining());
+            let files = source.files();
+            let by_index = |(place, stamp, pose): (usize, f64, Pose<f64>)| {
+                Some((files.keyframes.get(place)?.index, stamp, pose))
+            };
+            let poses = path.trajectory().into_iter().filter_map(by_index).collect();
+            let path = path.with_dense_depth(context.cancellation.clone());
+            Input {
+                between,
+                frames_given: count,
+                path: poses,
+                ..keyframes_of(Box::new(path), keyframes, frame_rate)
+            }
+        }
+    })
+}
+
+/// Imported keyframes as visual odometry makes them.
+enum Refined {
+    /// The keyframes, with its poses or dense depth.
+    Keyframes(Box<dyn KeyframeSource>),
+    /// Its own path: no pose of a single moment explains rows that were exposed one after the other.
+    Path(Box<MonocularSource<BoxedLoader>>),
 }
 
 /// Imported keyframes with poses refined by visual odometry, where these come without depth with its
 /// dense depth in place of that of a few points, too; none if they come with dense depth that was computed
 /// with poses, or if no path is found in their pictures, which is noted.
-fn refined(files: &ImportedKeyframes, context: &RunContext) -> Option<Box<dyn KeyframeSource>> {
+fn refined(files: &ImportedKeyframes, context: &RunContext) -> Option<Refined> {
     if files.has_variance && !files.has_sparse_depth {
         return None;
     }
@@ -287,15 +315,26 @@ fn refined(files: &ImportedKeyframes, context: &RunContext) -> Option<Box<dyn Ke
         }
     };
     let own = files.clone();
-    let load = move |place: usize| imported_picture(&own, place);
+    let load: BoxedLoader = Box::new(move |place| imported_picture(&own, place));
+    if found.reconstruction().rolling_shutter_readout != 0.0 {
+        let size = (files.camera.width, files.camera.height);
+        let Some(found) = found.near(&poses) else {
+            note(&format!("{kept}: odometry found too few of them"));
+            return None;
+        };
+        note(
+            "the pictures show a rolling shutter: poses are those found from them, near the imported ones",
+        );
+        return Some(Refined::Path(Box::new(found.with_pictures(size, load))));
+    }
     let refined =
         RefinedImport::new(files.camera, poses, &found, load, context.cancellation.clone());
     let Some(refined) = refined else {
-        note(&format!("{kept}: odometry found too few of them, or a rolling shutter"));
+        note(&format!("{kept}: odometry found too few of them"));
         return None;
     };
     note(&refined.summary());
-    Some(Box::new(refined))
+    Some(Refined::Keyframes(Box::new(refined)))
 }
 
 fn imported_picture(files: &ImportedKeyframes, place: usize) -> Result<Frame, PictureError> {

@@ -1,6 +1,6 @@
 use super::*;
 use i2slam_dataset::DepthPicture;
-use i2slam_geometry::Image;
+use i2slam_geometry::{Image, Rotation};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -210,4 +210,33 @@ fn errors_name_the_refused_pictures() {
     let message = found.err().expect("two pictures show no path").to_string();
     assert!(message.contains("2 pictures are too few"), "{message}");
     assert!(message.contains("3 pictures could not be used, the first, 2: damaged"));
+}
+
+/// A straight path by colour alone takes the unit of the given one, with measured depth it keeps metres.
+#[test]
+fn a_path_is_moved_near_given_poses() {
+    let turned = Rotation::exp(Vec3::new(0.3, -0.8, 0.2));
+    let length = |with_depth: bool| {
+        let truth = |position: usize| Vec3::new(0.06 * position as f64, 0.0, 0.0);
+        let given = |position: usize| {
+            let moved = turned.rotate(truth(position) * 4.0) + Vec3::new(1.0, 2.0, 3.0);
+            Pose::new(turned, moved)
+        };
+        let given: Vec<Pose<f64>> = (0..14).map(given).collect();
+        let load = if with_depth { load_with_depth } else { load };
+        assert!(find(14, load).expect("a path").near(&given[..5]).is_some());
+        let found = find(10, load).expect("a path");
+        let more: Vec<Pose<f64>> = given.iter().chain(&given).copied().collect();
+        assert!(found.near(&more).is_none(), "10 of 28 are too few");
+        let near = find(14, load).expect("a path").near(&given).expect("near");
+        let at = |frame: usize| near.reconstruction.poses[frame].expect("posed");
+        let middle =
+            |frames: [usize; 2]| (at(frames[0]).translation + at(frames[1]).translation) * 0.5;
+        let due = (given[0].translation + given[13].translation) * 0.5;
+        assert!((middle([0, 13]) - due).norm() < 0.03, "{:?}", middle([0, 13]));
+        assert!(at(7).local(given[7]).rotation.norm() < 0.02);
+        (at(13).translation - at(0).translation).norm() / (13.0 * 0.06)
+    };
+    let [alone, with_depth] = [length(false), length(true)];
+    assert!((alone - 4.0).abs() < 0.1 && (with_depth - 1.0).abs() < 0.03, "{alone} {with_depth}");
 }
