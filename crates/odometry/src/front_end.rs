@@ -13,7 +13,9 @@ use crate::intrinsics::observability::drop_unobservable_distortion;
 use crate::loops::loop_closure::{close_loops, merge_overlapping_keyframes};
 use crate::online::online_map::{OnlineMap, TrackingStatus};
 use crate::progress::{Progress, Stage};
-use crate::register::approximate_poses::{register_near, triangulate_at_given_poses};
+use crate::register::approximate_poses::{
+    in_unit_of_path, place_unsupported, register_near, take_given_poses,
+};
 use crate::register::dense_constraints::add_dense_constraints;
 use crate::register::initialization::initialize;
 use crate::register::photographs::with_matches;
@@ -157,7 +159,7 @@ impl FrontEnd {
         self.map.state.add_input(picture, timestamp, depth, &self.scratch);
         let (frame, is_cut) = (self.map.state.poses.len(), tracked.is_cut);
         let is_own = !self.picture_checks.is_repeat[frame] && !self.picture_checks.is_blank[frame];
-        if let Some(now) = self.tracker.last_picture().filter(|_| is_own && depth.is_none()) {
+        if let Some(now) = self.tracker.last_picture().filter(|_| is_own) {
             self.photographs.add(frame, now, tracked.observed.len());
         }
         let is_repeat = &self.picture_checks.is_repeat;
@@ -217,6 +219,7 @@ impl FrontEnd {
         self.map.forget_joined_places();
         let timestamps = Arc::clone(&self.map.state.timestamps);
         let frames = timestamps.len();
+        let given = in_unit_of_path(approximate, frames);
         if frames < MIN_FRAMES {
             return Err(OdometryError::TooFewFrames { frames, needed: MIN_FRAMES });
         }
@@ -231,27 +234,38 @@ impl FrontEnd {
         let closes_loops = map.closes_loops;
         let (online, online_poses) = map.into_state_and_poses();
         let online = SfmState { progress: progress.clone(), ..online };
-        let is_unordered = photographs.is_unordered() && !online.has_depth();
+        // Measured depth tells poses of pictures that share few points, too.
+        let posed = online.posed_frames().len() as f64;
+        let is_tracked = online.has_depth() && posed >= MIN_POSED_SHARE * frames as f64;
+        let is_unordered = photographs.is_unordered() && !is_tracked;
         let mut state = match is_unordered {
             true => photographs_state(online, &photographs, &intrinsics),
             false => initial_state(online, &intrinsics),
         };
-        let is_given = match (is_unordered, approximate) {
+        let (found, are_given) = match (is_unordered, given.as_slice()) {
             (true, []) => {
                 state = with_matches(state, &photographs, &[]);
-                estimate_path(&mut state, adjust_focal).map(|()| false)
+                (estimate_path(&mut state, adjust_focal), false)
             }
-            (true, _) => {
-                state = register_near(&state, &photographs, approximate);
-                Ok(false)
+            (true, given) => {
+                let (registered, stay) = register_near(state, &photographs, given);
+                state = registered;
+                (Ok(()), stay)
             }
-            (false, _) => estimate_path_or_take(&mut state, approximate, adjust_focal),
+            (false, given) => estimate_path_or_take(&mut state, given, adjust_focal),
         };
         // A cancelled search may look like any other failure.
         if progress.is_cancelled() {
             return Err(OdometryError::Cancelled);
         }
-        let distortion_dropped = !is_given? && refine_path(&mut state, closes_loops, adjust_focal);
+        found?;
+        let mut distortion_dropped = false;
+        if !are_given {
+            distortion_dropped = refine_path(&mut state, closes_loops, adjust_focal);
+            if is_unordered && !given.is_empty() {
+                place_unsupported(&mut state, &given);
+            }
+        }
         if progress.is_cancelled() {
             return Err(OdometryError::Cancelled);
         }
@@ -264,7 +278,8 @@ impl FrontEnd {
             state.poses[frame] = state.poses[repeated_frame(&is_repeat, frame)];
         }
         let built = build_reconstruction(state, &timestamps, &intrinsics, found, &is_repeat);
-        Ok(Reconstruction { online_poses, ..wrong.applied_to(built) })
+        let built = Reconstruction { online_poses, has_given_poses: are_given, ..built };
+        Ok(wrong.applied_to(built))
     }
 }
 
@@ -361,6 +376,7 @@ fn photographs_state(
     tracks.drop_estimates();
     SfmState {
         timestamps: online.timestamps,
+        depth_maps: online.depth_maps,
         progress: online.progress,
         estimates_distortion: matches!(intrinsics, Intrinsics::GuessWithDistortion(_)),
         ..SfmState::new(*intrinsics.camera(), tracks)
@@ -391,18 +407,16 @@ fn estimate_path_or_take(
     state: &mut SfmState,
     given: &[Option<Pose<f64>>],
     adjust_focal: bool,
-) -> Result<bool, OdometryError> {
+) -> (Result<(), OdometryError>, bool) {
     let found = estimate_path(state, adjust_focal);
     let posed = if found.is_ok() { state.posed_frames().len() } else { 0 };
     let is_enough = posed as f64 >= MIN_POSED_SHARE * given.len() as f64;
     if given.is_empty() || is_enough || state.has_depth() || state.progress.is_cancelled() {
-        return found.map(|()| false);
+        return (found, false);
     }
-    state.reset();
-    state.poses = given.to_vec();
-    triangulate_at_given_poses(state);
-    state.reject_outliers();
-    Ok(true)
+    state.drop_readout();
+    take_given_poses(state, given);
+    (Ok(()), true)
 }
 
 /// Adjusts the path until cost and focal length converge: slow bends hardly change one cost.
@@ -468,27 +482,14 @@ fn largest_component(state: &SfmState, adjust_focal: bool) -> Option<(SfmState, 
     let places: Vec<usize> = (0..state.tracks.keyframes.len()).collect();
     let runs = places.chunk_by(|a, b| is_posed(*a) == is_posed(*b)).filter(|r| !is_posed(r[0]));
     let length =
-        |run: &[usize]| run.iter().map(|place| frames_represented(state, *place)).sum::<usize>();
-    let covered = frames_covered(state);
+        |run: &[usize]| run.iter().map(|place| state.frames_represented(*place)).sum::<usize>();
+    let covered = state.frames_covered();
     let longest = runs.max_by_key(|run| length(run)).filter(|run| length(run) > covered)?;
     let mut other = state.clone();
     other.reset();
     initialize(&mut other, longest[0]..longest[longest.len() - 1] + 1).ok()?;
     let was_lost = register_and_relocalize(&mut other, adjust_focal);
-    (frames_covered(&other) > covered).then_some((other, was_lost))
-}
-
-/// Number of frames from a keyframe, given by its index among them, to the next one.
-fn frames_represented(state: &SfmState, place: usize) -> usize {
-    let keyframes = &state.tracks.keyframes;
-    keyframes.get(place + 1).copied().unwrap_or(state.poses.len()) - keyframes[place]
-}
-
-/// Number of frames represented by registered keyframes.
-fn frames_covered(state: &SfmState) -> usize {
-    let keyframes = state.tracks.keyframes.iter().enumerate();
-    let posed = keyframes.filter(|(_, frame)| state.poses[**frame].is_some());
-    posed.map(|(place, _)| frames_represented(state, place)).sum()
+    (other.frames_covered() > covered).then_some((other, was_lost))
 }
 
 #[cfg(test)]

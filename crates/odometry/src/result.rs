@@ -70,10 +70,11 @@ pub struct Reconstruction {
     pub timestamps: Vec<f64>,
     /// Model of the depth sensor; lengths are metres then. `None` by colour alone.
     pub depth_model: Option<DepthModel>,
+    /// True if the poses are the given ones, which the pictures do not contradict or cannot replace.
+    pub has_given_poses: bool,
     /// Registered keyframes, in order.
     pub keyframes: Vec<Keyframe>,
-    /// True if the pictures are photographs, which were matched instead of tracked: those next to each
-    /// other in time need not be near.
+    /// True if the pictures are photographs, which were matched instead of tracked, in any order.
     pub is_unordered: bool,
     /// Degradations that a user should know of.
     pub warnings: Vec<Warning>,
@@ -167,8 +168,7 @@ fn stamped(poses: &[Option<Pose<f64>>], timestamps: &[f64]) -> Trajectory {
     poses.iter().zip(timestamps).filter_map(stamped).collect()
 }
 
-/// Builds the result in the first registered frame, without measured depth with the median depth as
-/// unit of length.
+/// Builds the result in the first registered frame; the median depth is the unit without measured depth.
 pub(crate) fn build_reconstruction(
     state: SfmState,
     timestamps: &[f64],
@@ -219,6 +219,7 @@ pub(crate) fn build_reconstruction(
     let found = Reconstruction {
         camera,
         is_unordered,
+        has_given_poses: false,
         distortion,
         focal_deviation,
         rolling_shutter_readout: readout,
@@ -257,6 +258,7 @@ pub(crate) fn reconstruction_so_far(state: &SfmState, keyframe: Option<usize>) -
     Reconstruction {
         camera: state.camera,
         is_unordered: state.photographs.is_some(),
+        has_given_poses: false,
         distortion: None,
         focal_deviation: None,
         rolling_shutter_readout: readout,

@@ -374,6 +374,15 @@ impl SfmState {
         }
     }
 
+    /// Takes all rows for exposed at once.
+    pub(crate) fn drop_readout(&mut self) {
+        self.readout = 0.0;
+        let (camera, distortion) = (self.camera, self.distortion);
+        for o in self.tracks.tracks.iter_mut().flat_map(|t| &mut t.observations) {
+            *o = o.moved_to(undistort(&camera, distortion, o.raw()));
+        }
+    }
+
     /// Scales all corrections to a changed readout: the speeds in them are known already.
     fn update_readout(&mut self, change: f64) {
         let readout = (self.readout + change).clamp(-MAX_READOUT, MAX_READOUT);

@@ -51,7 +51,7 @@ pub(super) fn list(
 ) -> Result<Listing, DatasetError> {
     let colour = list_images(&folders.colour, |_| true)?;
     let depth = folders.depth.as_ref().map(|depth| list_images(depth, |_| true)).transpose()?;
-    let unread = unread_warning(&folders.colour);
+    let unread = unread_photographs(&folders.colour).map(|unread| format!("left out {unread}"));
     // Stamps count only if all files have them.
     let depth_stamps = depth.as_ref().map(|depth| stamped_by_name(depth));
     if let (Some(colour), None | Some(Some(_))) = (stamped_by_name(&colour), &depth_stamps) {
@@ -84,18 +84,22 @@ pub(crate) fn list_images_below(folder: &Path, frame_rate: f64) -> Option<Listin
     (!entries.is_empty()).then(|| Listing::new(Layout::Plain, entries))
 }
 
-/// A warning if a folder holds photographs in formats that are not read.
-fn unread_warning(folder: &Path) -> Option<String> {
+/// Photographs of a folder in formats that are not read, without those that lie beside a picture of the same
+/// name, and what to do; `None` if there are none.
+pub(super) fn unread_photographs(folder: &Path) -> Option<String> {
     let listing = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let read: Vec<String> =
+        list_images(folder, |_| true).into_iter().flatten().map(|path| file_stem(&path)).collect();
     let is_unread = |path: &PathBuf| {
         let extension = path.extension().and_then(|e| e.to_str()).map(str::to_lowercase);
-        let is_hidden = file_stem(path).starts_with('.');
-        !is_hidden && extension.is_some_and(|e| UNREAD_EXTENSIONS.contains(&e.as_str()))
+        let stem = file_stem(path);
+        let is_format = extension.is_some_and(|e| UNREAD_EXTENSIONS.contains(&e.as_str()));
+        is_format && !stem.starts_with('.') && !read.contains(&stem)
     };
     let files: Vec<PathBuf> = listing.map(|entry| entry.path()).filter(is_unread).collect();
     let first = files.iter().min()?;
     Some(format!(
-        "left out {} in a format that is not read ({}): convert to JPEG or PNG",
+        "{} in a format that is not read ({}): convert to JPEG or PNG",
         counted(files.len(), "photograph"),
         first.display()
     ))

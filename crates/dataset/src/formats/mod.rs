@@ -114,6 +114,9 @@ impl std::fmt::Display for Layout {
 
 /// The error for a path in none of the layouts; `found` says what is there.
 fn unknown_layout(path: &Path, found: String, has_colour: bool) -> DatasetError {
+    if let Some(unread) = folders::unread_photographs(path).filter(|_| !has_colour) {
+        return DatasetError::file(path, format!("found {unread}"));
+    }
     let line = |layout: Layout| format!("\n  {:<26}{}", layout.name(), layout.recognised_by());
     let known = Layout::ALL.into_iter().map(line).collect();
     DatasetError::UnknownLayout { path: path.to_path_buf(), found, has_colour, known }

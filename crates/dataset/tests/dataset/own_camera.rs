@@ -76,11 +76,16 @@ fn the_focal_length_comes_from_exif_data() {
 fn photographs_in_other_formats_are_told() {
     let folder = pictures(None);
     assert!(!open(&folder, &alone()).warnings.iter().any(|w| w.contains("left out")));
-    for name in ["IMG_0007.HEIC", "IMG_0003.dng", "notes.txt", "._IMG_0001.heic"] {
+    for name in ["IMG_0007.HEIC", "IMG_0003.dng", "IMG_0001.dng", "notes.txt", "._IMG_9.heic"] {
         folder.write(name, b"...");
     }
+    // The first picture is there as JPEG, too.
     let warnings = open(&folder, &alone()).warnings;
     assert_warns(&warnings, &["left out 2 photographs", "IMG_0003.dng", "JPEG or PNG"]);
+    let folder = Folder::new();
+    folder.write("IMG_0007.HEIC", b"...");
+    let due = ["1 photograph in a format that is not read", "IMG_0007.HEIC", "JPEG or PNG"];
+    assert_says(Sequence::open(&folder.0, &alone()), &due);
 }
 
 #[test]

@@ -1,8 +1,9 @@
-//! Refinement of imported keyframes whose pictures are a video.
+//! Refinement of imported keyframes.
 //!
-//! The front end reconstructs the pictures on its own, with depth where it was measured. Its path, in
-//! the unit of length of the files or of the depth, replaces theirs where it aligns the pictures
-//! clearly better. Keyframes without depth get dense depth in either case.
+//! The front end reconstructs the pictures of a video on its own, with depth where it was measured. Its
+//! path, in the unit of length of the files or of the depth, replaces theirs where it aligns the pictures
+//! clearly better; poses of photographs it adjusts. Keyframes without depth get dense depth in either
+//! case.
 
 use super::monocular::PictureReader;
 use super::{EstimatedDepth, KeyframeSource, MonocularSource, PictureError, PosedKeyframe};
@@ -17,8 +18,6 @@ use std::sync::Arc;
 
 /// Least gain in picture correlation for which the poses of the front end are used.
 const MIN_CORRELATION_GAIN: f64 = 0.02;
-/// Angle by which a pose of photographs is another [rad].
-const MIN_TURN: f64 = 1e-4;
 /// Channel in which pictures are compared.
 const GREEN: usize = 1;
 /// Half side of the compared patches [px].
@@ -31,8 +30,9 @@ pub struct RefinedImport<L> {
     dense: DenseDepthEstimator,
     reader: PictureReader<L>,
     next: usize,
-    /// Mean correlation of neighbouring pictures at the imported and at the odometry's poses.
-    correlations: [f64; 2],
+    /// Mean correlation of neighbouring pictures at the imported and at the odometry's poses, where both were
+    /// compared.
+    correlations: Option<[f64; 2]>,
     /// Whether the poses of the odometry are used.
     is_refined: bool,
     /// Whether depth was measured.
@@ -62,12 +62,12 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> RefinedImport<L> {
             return None;
         }
         let path = OdometryPath::new(&poses, &found, |frame| odometry.position(frame))?;
-        let correlations = path.correlations([&poses, &path.poses], &mut load, &cancellation);
-        // Poses of photographs, too far apart for a comparison of patches, were adjusted from the imported
-        // ones.
-        let is_refined = match found.is_unordered {
-            true => path.is_turned_from(&poses),
-            false => correlations[1] > correlations[0] + MIN_CORRELATION_GAIN,
+        // Photographs, too far apart for a comparison of patches, were adjusted from the imported poses.
+        let (is_refined, correlations) = if found.is_unordered || found.has_given_poses {
+            (!found.has_given_poses, None)
+        } else {
+            let both = path.correlations([&poses, &path.poses], &mut load, &cancellation);
+            (both[1] > both[0] + MIN_CORRELATION_GAIN, Some(both))
         };
         if is_refined {
             poses.clone_from(&path.poses);
@@ -98,18 +98,13 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> RefinedImport<L> {
     /// A sentence on the refinement for the user.
     pub fn summary(&self) -> String {
         let depth = if self.has_depth { "" } else { "; depth is found by matching" };
-        let [imported, found] = self.correlations;
-        if self.is_unordered {
-            let which = match self.is_refined {
-                true => "poses are adjusted to what the photographs show",
-                false => "the imported poses are exact as far as the photographs tell, and kept",
-            };
-            return format!("{which}{depth}");
-        }
-        let which = match self.is_refined {
-            true => "poses are refined by their pictures",
-            false => "the imported poses are kept",
+        let which = match (self.is_refined, self.correlations) {
+            (true, None) => "poses are adjusted to what the photographs show",
+            (false, None) => "the imported poses are kept: the pictures show no errors of theirs",
+            (true, Some(_)) => "poses are refined by their pictures",
+            (false, Some(_)) => "the imported poses are kept",
         };
+        let Some([imported, found]) = self.correlations else { return format!("{which}{depth}") };
         format!(
             "{which}: neighbouring pictures correlate by {imported:.3} at the imported poses, by \
              {found:.3} at those found from the pictures{depth}"
@@ -179,22 +174,15 @@ impl<'a> OdometryPath<'a> {
         if (posed as f64) < MIN_POSED_SHARE * input_poses.len() as f64 || posed < 3 {
             return None;
         }
-        let scale = match found.depth_model {
-            Some(_) => 1.0,
-            None => scale(input_poses, &at)?,
-        };
         let places = found.keyframes.iter().map(|k| place(k.index)).collect::<Option<Vec<_>>>()?;
-        let poses = match found.is_unordered {
-            true => nearest_poses(input_poses, &at)?,
-            false => aligned_poses(input_poses, &at, scale)?,
+        let (scale, poses) = if found.is_unordered || found.has_given_poses {
+            nearest_poses(input_poses, &at)?
+        } else {
+            let is_metric = found.depth_model.is_some();
+            let scale = if is_metric { 1.0 } else { scale(input_poses, &at)? };
+            (scale, aligned_poses(input_poses, &at, scale)?)
         };
         Some(Self { found, places, scale, poses })
-    }
-
-    /// True if any of the poses is turned against one of the files.
-    fn is_turned_from(&self, input_poses: &[Pose<f64>]) -> bool {
-        let turn = |(found, input): (&Pose<f64>, &Pose<f64>)| input.local(*found).rotation.norm();
-        self.poses.iter().zip(input_poses).map(turn).any(|turn| turn > MIN_TURN)
     }
 
     /// Landmark depths of the keyframe of `found` nearest to an imported one.
@@ -294,8 +282,12 @@ fn scale(input_poses: &[Pose<f64>], found: &[Option<Pose<f64>>]) -> Option<f64> 
     Some(product / square).filter(|s| s.is_finite() && *s > 0.0)
 }
 
-/// The odometry's poses, moved as a whole as near as possible to those of the files, which missing ones keep.
-fn nearest_poses(input_poses: &[Pose<f64>], found: &[Option<Pose<f64>>]) -> Option<Vec<Pose<f64>>> {
+/// Length in the files of one unit of the odometry's poses, and these, moved as a whole as near as possible to
+/// those of the files, which missing ones keep.
+fn nearest_poses(
+    input_poses: &[Pose<f64>],
+    found: &[Option<Pose<f64>>],
+) -> Option<(f64, Vec<Pose<f64>>)> {
     let pairs: Vec<_> = found
         .iter()
         .zip(input_poses)
@@ -305,7 +297,7 @@ fn nearest_poses(input_poses: &[Pose<f64>], found: &[Option<Pose<f64>>]) -> Opti
     let moved = |(found, input): (&Option<Pose<f64>>, &Pose<f64>)| {
         found.map_or(*input, |found| by.apply_to_pose(found))
     };
-    Some(found.iter().zip(input_poses).map(moved).collect())
+    Some((by.scale, found.iter().zip(input_poses).map(moved).collect()))
 }
 
 /// The odometry's poses in the files' world; missing ones continue by the motion in the files.
@@ -486,7 +478,8 @@ mod tests {
             (place != 4).then_some(Pose { rotation, translation: translation * 0.4 })
         };
         let found: Vec<_> = (0..6).map(moved).collect();
-        let poses = nearest_poses(&input_poses, &found).expect("a path");
+        let (scale, poses) = nearest_poses(&input_poses, &found).expect("a path");
+        assert!((scale - 2.5).abs() < 1e-9);
         for (pose, due) in poses.iter().zip(&input_poses) {
             assert!((pose.translation - due.translation).norm() < 1e-9);
         }

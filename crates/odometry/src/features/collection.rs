@@ -33,9 +33,9 @@ const REPORTED_PAIRS: usize = 8;
 /// axes of two pictures beyond which they show no surface both [rad].
 const MAX_CONTRADICTION: f64 = 0.6;
 const MAX_AXIS_ANGLE: f64 = 1.4;
-/// Distance of matches from the epipolar lines of approximate poses, at most, over the median of all: six
+/// Distance of matches from the epipolar lines of approximate poses, at most, over the median of all: four
 /// standard deviations of normally distributed ones.
-const MAX_DISTANCE_OVER_MEDIAN: f64 = 4.0;
+const MAX_DISTANCE_OVER_MEDIAN: f64 = 6.0;
 
 /// A picture with its features.
 #[derive(Clone, Debug)]

@@ -14,15 +14,17 @@ use crate::register::registration::{adjust_globally, register_keyframes};
 use crate::sfm_state::{MAX_NOISE_SCALE, SfmState};
 use crate::track::tracks::Track;
 use i2slam_compute::{median, solve_positive_definite};
-use i2slam_geometry::{Mat3, Pose};
+use i2slam_geometry::{Mat3, Pose, Vec3};
 use std::sync::Arc;
 
-/// Nearest photographs, and others, to which relative poses of each count.
+/// Nearest photographs, and others at most, to which relative poses of each count.
 const NEIGHBOURS: usize = 4;
-const LINKS: usize = 2 * NEIGHBOURS;
 /// Landmarks that photographs must share whose relative pose tells how exact the given ones are.
 const MIN_SHARED: usize = 20;
-/// Deviation of orientations at which the given poses are exact [rad].
+/// Pairs of photographs that tell how exact the given poses are, at least.
+const MIN_PAIRS: usize = 3;
+/// Deviation of orientations [rad], and of positions over the distance of landmarks, at which given poses are
+/// exact.
 const MIN_DEVIATION: f64 = 1e-5;
 /// Rounds in which poses and their deviations are found in turn, and change of these at which they end.
 const MAX_ROUNDS: usize = 12;
@@ -30,43 +32,72 @@ const SETTLED_CHANGE: f64 = 0.02;
 /// Standard deviations over the median length of normally distributed coordinates.
 const DEVIATION_OVER_MEDIAN: f64 = 1.4826;
 
-/// Registers photographs from given poses, `world_from_camera` of every frame.
-pub(crate) fn register_near(
-    tracks: &SfmState,
-    photographs: &PhotoCollection,
-    given: &[Option<Pose<f64>>],
-) -> SfmState {
-    let mut state = with_matches(tracks.clone(), photographs, given);
-    adjust_given_poses(&mut state, given);
-    state
+/// Poses of so many frames, the median distance from their middle as unit of length.
+pub(crate) fn in_unit_of_path(
+    poses: &[Option<Pose<f64>>],
+    frames: usize,
+) -> Vec<Option<Pose<f64>>> {
+    let at: Vec<Vec3<f64>> = poses.iter().flatten().map(|pose| pose.translation).collect();
+    if at.is_empty() {
+        return Vec::new();
+    }
+    let middle = at.iter().fold(Vec3::zero(), |sum, at| sum + *at) * (at.len() as f64).recip();
+    let mut distances: Vec<f64> = at.iter().map(|at| (*at - middle).norm()).collect();
+    let unit = median(&mut distances).filter(|distance| *distance > 0.0).unwrap_or(1.0);
+    let scaled = |pose: Pose<f64>| Pose { translation: pose.translation * unit.recip(), ..pose };
+    let all = poses.iter().map(|pose| pose.map(scaled));
+    all.chain(std::iter::repeat(None)).take(frames).collect()
 }
 
-/// Poses all frames as given, adjusts them, and registers those without a given pose.
-fn adjust_given_poses(state: &mut SfmState, given: &[Option<Pose<f64>>]) {
+/// Registers photographs from given poses, `world_from_camera` of every frame; true if these are as exact as
+/// pictures tell, and stay.
+pub(crate) fn register_near(
+    tracks: SfmState,
+    photographs: &PhotoCollection,
+    given: &[Option<Pose<f64>>],
+) -> (SfmState, bool) {
+    let mut state = with_matches(tracks, photographs, given);
+    let stays = adjust_given_poses(&mut state, given);
+    (state, stays)
+}
+
+/// Poses all frames as given, adjusts them, and registers those without a given pose; true if the given poses
+/// stay.
+fn adjust_given_poses(state: &mut SfmState, given: &[Option<Pose<f64>>]) -> bool {
     state.poses = given.to_vec();
     state.progress.report(Stage::BundleAdjustment, 0, 0);
     triangulate_at_given_poses(state);
-    let mut deviations = Some(first_deviations(state, given));
+    let mut deviations = first_deviations(state);
     for _ in 0..MAX_ROUNDS {
-        // Given poses that agree with what pictures show come out as exact, and stay.
-        let Some(known) = deviations else { break };
-        state.relative_poses = Arc::new(relative_poses(given, known));
+        state.relative_poses = Arc::new(relative_poses(given, deviations));
         adjust_globally(state, false);
         place_unsupported(state, given);
         if state.poses.contains(&None) {
             register_keyframes(state, false, usize::MAX);
         }
-        deviations = found_deviations(state);
-        let is_settled =
-            |found: &[f64; 2]| (0..2).all(|i| (found[i] / known[i]).ln().abs() < SETTLED_CHANGE);
-        if state.progress.is_cancelled() || deviations.as_ref().is_some_and(is_settled) {
+        let Some(found) = found_deviations(state).filter(|found| found != &least(state)) else {
+            take_given_poses(state, given);
+            return true;
+        };
+        let is_settled = (0..2).all(|i| (found[i] / deviations[i]).ln().abs() < SETTLED_CHANGE);
+        deviations = found;
+        if state.progress.is_cancelled() || is_settled {
             break;
         }
     }
+    false
+}
+
+/// Poses all frames as given, and triangulates landmarks from there.
+pub(crate) fn take_given_poses(state: &mut SfmState, given: &[Option<Pose<f64>>]) {
+    state.reset();
+    state.poses = given.to_vec();
+    triangulate_at_given_poses(state);
+    state.reject_outliers();
 }
 
 /// Triangulates landmarks with as much tolerance as matches miss each other at the given poses.
-pub(crate) fn triangulate_at_given_poses(state: &mut SfmState) {
+fn triangulate_at_given_poses(state: &mut SfmState) {
     state.noise_scale = MAX_NOISE_SCALE;
     state.triangulate_missing();
     state.update_noise_scale();
@@ -75,7 +106,7 @@ pub(crate) fn triangulate_at_given_poses(state: &mut SfmState) {
 }
 
 /// Places photographs without a landmark by their given poses, relative to the nearest one with some.
-fn place_unsupported(state: &mut SfmState, given: &[Option<Pose<f64>>]) {
+pub(crate) fn place_unsupported(state: &mut SfmState, given: &[Option<Pose<f64>>]) {
     let is_shared = state.shared_landmarks();
     let is_supported = |frame: usize| {
         state.observations_in(frame).any(|(track, o)| is_shared[track] && !o.is_outlier)
@@ -103,35 +134,61 @@ fn nearest(given: &[Option<Pose<f64>>], frame: usize, among: &[usize]) -> Vec<us
 
 /// Standard deviations of given positions and orientations [rad], a coordinate, so large that they explain the
 /// residuals of landmarks.
-fn first_deviations(state: &SfmState, given: &[Option<Pose<f64>>]) -> [f64; 2] {
+fn first_deviations(state: &SfmState) -> [f64; 2] {
     let angle = state.noise_scale * POSITION_SIGMA / state.camera.fx;
-    let depth = |(track, landmark): (&Track, &Option<Landmark>)| {
-        let at = given[track.observations.first()?.frame]?;
+    [angle * median_distance(state), angle]
+}
+
+/// Deviations at which given poses are exact.
+fn least(state: &SfmState) -> [f64; 2] {
+    [MIN_DEVIATION * median_distance(state), MIN_DEVIATION]
+}
+
+/// Median distance of landmarks from the first photograph that shows each.
+fn median_distance(state: &SfmState) -> f64 {
+    let distance = |(track, landmark): (&Track, &Option<Landmark>)| {
+        let at = state.poses[track.observations.first()?.frame]?;
         Some((landmark.as_ref()?.position() - at.translation).norm())
     };
-    let depths = state.tracks.tracks.iter().zip(&state.landmarks).filter_map(depth);
-    [angle * median(&mut depths.collect::<Vec<_>>()).unwrap_or(1.0), angle]
+    let distances = state.tracks.tracks.iter().zip(&state.landmarks).filter_map(distance);
+    median(&mut distances.collect::<Vec<_>>()).unwrap_or(1.0)
 }
 
 /// Standard deviations of given positions and orientations [rad], a coordinate, by distances and rotations
-/// between photographs that show landmarks together; the adjusted ones count as exact. `None` where the given
-/// ones are.
+/// between photographs that show landmarks together; the adjusted ones count as exact. `None` where too few
+/// show some.
 fn found_deviations(state: &SfmState) -> Option<[f64; 2]> {
     let (mut lengths, mut angles) = (Vec::new(), Vec::new());
     for &RelativePoseFactor { first, second, first_from_second: given, .. } in
-        state.relative_poses.iter().filter(|f| state.shared_count(f.first, f.second) >= MIN_SHARED)
+        state.relative_poses.iter().filter(|f| shares_landmarks(state, [f.first, f.second]))
     {
         let (Some(a), Some(b)) = (state.poses[first], state.poses[second]) else { continue };
         let found = a.inverse() * b;
         lengths.push((found.translation.norm() - given.translation.norm()).abs());
         angles.extend(given.local(found).rotation.to_array().map(f64::abs));
     }
-    let deviation = |all: &mut Vec<f64>| {
+    if lengths.len() < MIN_PAIRS {
+        return None;
+    }
+    let deviation = |all: &mut Vec<f64>, least: f64| {
         let of_both = DEVIATION_OVER_MEDIAN * median(all)?;
-        Some(of_both / 2_f64.sqrt())
+        Some((of_both / 2_f64.sqrt()).max(least))
     };
-    let found = [deviation(&mut lengths)?, deviation(&mut angles)?];
-    (found[0] > 0.0 && found[1] > MIN_DEVIATION).then_some(found)
+    let [position, rotation] = least(state);
+    Some([deviation(&mut lengths, position)?, deviation(&mut angles, rotation)?])
+}
+
+/// True if two photographs show enough landmarks together.
+fn shares_landmarks(state: &SfmState, [first, second]: [usize; 2]) -> bool {
+    let is_inlier = |track: usize, frame: usize| {
+        state.tracks.tracks[track].observation_in(frame).is_some_and(|o| !o.is_outlier)
+    };
+    let is_shared = |track: &&usize| {
+        state.landmarks[**track].is_some()
+            && is_inlier(**track, first)
+            && is_inlier(**track, second)
+    };
+    state.by_frame[first].iter().filter(is_shared).count() >= MIN_SHARED
 }
 
 /// The given poses relative to those of the nearest photographs, and of others from near to far, so that
@@ -140,14 +197,12 @@ fn relative_poses(given: &[Option<Pose<f64>>], deviations: [f64; 2]) -> Vec<Rela
     let known: Vec<usize> = (0..given.len()).filter(|f| given[*f].is_some()).collect();
     let mut out = Vec::new();
     for &first in &known {
-        let near = nearest(given, first, &known);
-        let (nearest, others) = near.split_at(NEIGHBOURS.min(near.len()));
-        let far = (1..=NEIGHBOURS)
-            .filter_map(|i| others.get((i * others.len() / NEIGHBOURS).checked_sub(1)?));
-        for &second in nearest.iter().chain(far) {
+        let linked = linked_to(given, first, &known);
+        for &second in &linked {
             let (Some(a), Some(b)) = (given[first], given[second]) else { continue };
             let first_from_second = a.inverse() * b;
-            if let Some(information) = information_of_relative(first_from_second, deviations) {
+            let information = information_of_relative(first_from_second, deviations, linked.len());
+            if let Some(information) = information {
                 out.push(RelativePoseFactor { first, second, first_from_second, information });
             }
         }
@@ -155,16 +210,26 @@ fn relative_poses(given: &[Option<Pose<f64>>], deviations: [f64; 2]) -> Vec<Rela
     out
 }
 
-/// Information of a relative pose of two with so many deviations, `Σ + J Σ Jᵀ` inverted: moving the first by
-/// `(ρ, φ)` moves it by `R⁻¹ (t × φ - ρ)`, and turns it by `-R⁻¹ φ`. Each pose is in several of them, which
-/// count once together.
+/// The nearest photographs to one, and as many others, evenly from near to far.
+fn linked_to(given: &[Option<Pose<f64>>], first: usize, known: &[usize]) -> Vec<usize> {
+    let near = nearest(given, first, known);
+    let (nearest, others) = near.split_at(NEIGHBOURS.min(near.len()));
+    let count = NEIGHBOURS.min(others.len());
+    let far = (1..=count).map(|i| others[i * others.len() / count - 1]);
+    nearest.iter().copied().chain(far).collect()
+}
+
+/// Information of a relative pose of two with such deviations, `Σ + J Σ Jᵀ` inverted: moving the first by
+/// `(ρ, φ)` moves it by `R⁻¹ (t × φ - ρ)`, and turns it by `-R⁻¹ φ`. Each pose is in so many
+/// `links`, which count once together.
 fn information_of_relative(
     relative: Pose<f64>,
     [position, rotation]: [f64; 2],
+    links: usize,
 ) -> Option<[[f64; 6]; 6]> {
     let back = relative.rotation.matrix().transpose();
     let spin = back * Mat3::skew(relative.translation);
-    let [position, rotation] = [position, rotation].map(|d| d * d * LINKS as f64);
+    let [position, rotation] = [position, rotation].map(|d| d * d * links as f64);
     let mut covariance = [[0.0; 6]; 6];
     for row in 0..3 {
         covariance[row][row] = 2.0 * position;
@@ -191,7 +256,7 @@ mod tests {
     use super::*;
     use crate::fixtures;
     use i2slam_check::noise;
-    use i2slam_geometry::{Rotation, Tangent, Vec3};
+    use i2slam_geometry::{Rotation, Tangent};
 
     const FRAMES: usize = 24;
 
@@ -261,33 +326,45 @@ mod tests {
     /// Poses that features cannot improve stay about as exact as they are.
     #[test]
     fn poses_more_exact_than_features_stay() {
-        for (deviations, worst) in [([0.0, 0.0], 5e-4), ([0.004, 0.002], 0.008)] {
+        for (deviations, worst) in [([0.0, 0.0], 1e-12), ([0.004, 0.002], 0.008)] {
             let mut state = state(3.0, |_| true);
             adjust_given_poses(&mut state, &disturbed(deviations));
             assert!(error(&state) < worst, "{deviations:?}: {}", error(&state));
         }
     }
 
+    /// Orientations of a level say nothing of positions.
+    #[test]
+    fn wrong_positions_of_exact_orientations_are_adjusted() {
+        let mut state = state(1.5, |_| true);
+        assert!(!adjust_given_poses(&mut state, &disturbed([0.06, 0.0])));
+        assert!(error(&state) < 0.3 * 3_f64.sqrt() * 0.06, "{}", error(&state));
+    }
+
+    /// Nothing that is seen together contradicts the given poses.
+    #[test]
+    fn given_poses_without_matches_stay() {
+        let mut state = state(1.5, |frame| frame % 12 == 0);
+        let given = disturbed([0.06, 0.02]);
+        assert!(adjust_given_poses(&mut state, &given));
+        assert_eq!(state.poses, given);
+    }
+
     /// What no other picture shows stays in its place among the others.
     #[test]
     fn photographs_without_matches_keep_their_place() {
         let mut state = state(0.5, |frame| frame != 7);
-        let mut given = disturbed([0.03, 0.01]);
-        given[7] = Some(truth(7));
+        let given = disturbed([0.03, 0.01]);
         adjust_given_poses(&mut state, &given);
-        let off = |frame: usize| {
-            let near = [frame - 1, frame];
-            let [a, b] = near.map(|f| state.poses[f].expect("posed"));
-            let due = truth(near[0]).inverse() * truth(near[1]);
-            (a.inverse() * b).local(due).translation.norm()
+        // Relative to the nearest one by the given poses, not where it was given.
+        let posed = |frame: usize| state.poses[frame].expect("posed");
+        let own = given[7].expect("given");
+        let off = |near: usize| {
+            let due = posed(near) * given[near].expect("given").inverse() * own;
+            due.local(posed(7)).translation.norm()
         };
-        assert!(
-            off(5) < 0.01 && off(12) < 0.01 && off(7) < 0.1,
-            "{} {} {}",
-            off(5),
-            off(12),
-            off(7)
-        );
+        assert!(off(6).min(off(8)) < 1e-9, "{} {}", off(6), off(8));
+        assert!(own.local(posed(7)).translation.norm() > 1e-3);
     }
 
     /// Covariance of a relative pose by many disturbed pairs.
@@ -296,7 +373,7 @@ mod tests {
         let deviations = [0.02, 0.01];
         let (first, second) = (truth(3), truth(9));
         let exact = first.inverse() * second;
-        let information = information_of_relative(exact, deviations).expect("positive");
+        let information = information_of_relative(exact, deviations, 8).expect("positive");
         let draws = 4000;
         let (mut sum, numbers) = (0.0, noise(8, 12 * draws));
         for n in numbers.chunks_exact(12) {
@@ -310,7 +387,7 @@ mod tests {
             sum += (0..6).map(|i| e[i] * row(i)).sum::<f64>() / draws as f64;
         }
         // Six degrees of freedom, which count once in all links of a pose.
-        let due = 6.0 / LINKS as f64;
+        let due = 6.0 / 8.0;
         assert!((sum / due - 1.0).abs() < 0.05, "{sum} {due}");
     }
 }

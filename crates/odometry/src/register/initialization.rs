@@ -51,7 +51,8 @@ pub(crate) fn initialize(state: &mut SfmState, places: Range<usize>) -> Result<(
     if std::mem::take(&mut state.is_unscaled) {
         read_depth(state);
     }
-    if initialize_from_depth(state, places.clone()) {
+    // Photographs agree on a map before one alone is trusted: patterns repeat.
+    if state.photographs.is_none() && initialize_from_depth(state, places.clone()) {
         return Ok(());
     }
     state.is_unscaled = true;

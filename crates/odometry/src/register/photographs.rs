@@ -1,5 +1,6 @@
 //! Registration of photographs in any order, by matches of their features with those of landmarks.
 
+use crate::depth::readings::read_depth;
 use crate::features::collection::{
     MatchedPhotographs, PhotoCollection, PhotographFeature, PhotographPair,
 };
@@ -60,6 +61,7 @@ pub(crate) fn with_matches(
     let (first, progress) = (state.landmarks.len(), state.progress.clone());
     let (matched, tracks) = photographs.match_all(&state.camera, approximate, first, &progress);
     tracks.into_iter().for_each(|track| state.add_track(track));
+    read_depth(&mut state);
     SfmState { photographs: Some(Arc::new(matched)), ..state }
 }
 
@@ -144,6 +146,7 @@ fn register(
             }
         }
     }
+    read_depth(state);
     frame
 }
 

@@ -43,6 +43,19 @@ impl SfmState {
         }
     }
 
+    /// Number of frames from a keyframe, given by its index among them, to the next one.
+    pub(crate) fn frames_represented(&self, place: usize) -> usize {
+        let keyframes = &self.tracks.keyframes;
+        keyframes.get(place + 1).copied().unwrap_or(self.poses.len()) - keyframes[place]
+    }
+
+    /// Number of frames represented by registered keyframes.
+    pub(crate) fn frames_covered(&self) -> usize {
+        let keyframes = self.tracks.keyframes.iter().enumerate();
+        let posed = keyframes.filter(|(_, frame)| self.poses[**frame].is_some());
+        posed.map(|(place, _)| self.frames_represented(place)).sum()
+    }
+
     /// Intrinsics that a bundle of so many frames adjusts.
     fn free_intrinsics(&self, adjust_focal: bool, frames: usize) -> FreeIntrinsics {
         let is_enough = frames >= MIN_SELF_CALIBRATION_FRAMES;
