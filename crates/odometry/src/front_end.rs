@@ -205,7 +205,7 @@ impl FrontEnd {
     /// Reconstructs the camera path from all pictures so far, and from `approximate` poses of the accepted
     /// ones, `world_from_camera` in any world and unit. Those of photographs are adjusted, as far as their
     /// pictures show that they are not exact. The path of a film is found without; where too few of its frames
-    /// can be posed so, it is the given one.
+    /// can be posed so, it is the given one. A guessed focal length of photographs stays then.
     ///
     /// # Errors
     ///

@@ -37,7 +37,7 @@ fn check_extension(format: Format, out: &Path) -> Result<(), Failure> {
         return Ok(());
     }
     let (out, format, due) = (out.display(), format.name(), due.join(" or ."));
-    Err(Failure::Usage(format!("--out {out}: the name of a {format} file ends with .{due}")))
+    Err(Failure::Usage(format!("--out {out}: names of {format} files end with .{due}")))
 }
 
 /// Refuses a file that is there, unless it is an earlier export and may be replaced.
