@@ -108,7 +108,7 @@ pub struct ImportedKeyframes {
     pub has_depth: bool,
     /// Whether depth has a variance.
     pub has_variance: bool,
-    /// Whether depth is that of a few points alone.
+    /// True if depth is that of a few points alone.
     pub has_sparse_depth: bool,
     /// Warnings for the user, a sentence each.
     pub warnings: Vec<String>,

@@ -350,7 +350,7 @@ mod tests {
         assert_eq!(state.poses, given);
     }
 
-    /// What no other picture shows stays in its place among the others.
+    /// A photograph without matches keeps its place relative to the nearest one.
     #[test]
     fn photographs_without_matches_keep_their_place() {
         let mut state = state(0.5, |frame| frame != 7);
