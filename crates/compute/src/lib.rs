@@ -18,4 +18,4 @@ pub use memory::machine_memory;
 pub use random::Random;
 pub use reduce::reduce_in_order;
 pub use skyline::{SkylineMatrix, reverse_cuthill_mckee};
-pub use statistics::{correlation, median};
+pub use statistics::{SIGMA_PER_MEDIAN, correlation, median};

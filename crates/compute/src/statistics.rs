@@ -1,5 +1,8 @@
 //! Median and correlation.
 
+/// Standard deviation of a normal distribution of mean zero over its median absolute value.
+pub const SIGMA_PER_MEDIAN: f64 = 1.4826;
+
 /// The element in the middle of `values` by size (of an even number, the upper one), which are
 /// reordered; `None` without any. NaN counts as larger than every number.
 pub fn median<T: PartialOrd + Copy>(values: &mut [T]) -> Option<T> {

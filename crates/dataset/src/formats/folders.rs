@@ -5,6 +5,7 @@ use super::tum::{StampedImages, ground_truth, list_by_time};
 use super::{FrameEntry, Layout, Listing};
 use crate::text::counted;
 use crate::{DatasetError, OpenOptions};
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 const COLOUR_NAMES: [&str; 5] = ["colour", "color", "rgb", "images", "image"];
@@ -88,7 +89,7 @@ pub(crate) fn list_images_below(folder: &Path, frame_rate: f64) -> Option<Listin
 /// name, and what to do; `None` if there are none.
 pub(super) fn unread_photographs(folder: &Path) -> Option<String> {
     let listing = std::fs::read_dir(folder).into_iter().flatten().flatten();
-    let read: Vec<String> =
+    let read: BTreeSet<String> =
         list_images(folder, |_| true).into_iter().flatten().map(|path| file_stem(&path)).collect();
     let is_unread = |path: &PathBuf| {
         let extension = path.extension().and_then(|e| e.to_str()).map(str::to_lowercase);

@@ -20,7 +20,7 @@
 //!
 //! Gauss-Newton with Geman and McClure's weights, all but `p` eliminated.
 
-use i2slam_compute::median;
+use i2slam_compute::{SIGMA_PER_MEDIAN, median};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -39,8 +39,6 @@ const MAX_MOTION: f64 = 0.5;
 /// Added to the diagonals of what is eliminated, over their sum: pictures without blur tell neither
 /// length nor time of the exposure.
 const RIDGE: f64 = 1e-9;
-/// Standard deviation over the median absolute residual of a normal distribution.
-const SIGMA_PER_MEDIAN: f64 = 1.4826;
 /// Scale of the weights, in robust deviations of the residuals.
 const LOSS_SCALE: f64 = 2.0;
 

@@ -33,7 +33,7 @@ pub use blur_power::{BlurPair, BlurredPixel, MOMENTS, PowerEstimate, estimate_po
 pub use log_response::LogResponse;
 
 use crate::tone::{ResponseCurve, StartCurve};
-use i2slam_compute::{median, solve_positive_definite};
+use i2slam_compute::{SIGMA_PER_MEDIAN, median, solve_positive_definite};
 use log_response::{COUNT, KNOTS, log_slopes};
 use rayon::prelude::*;
 
@@ -47,8 +47,6 @@ const WALK_DEVIATION: f64 = 0.3;
 pub const TIED: [f64; 2] = [0.1, 0.6];
 /// Weight of that, which decides nothing else.
 const TIE_WEIGHT: f64 = 1e4;
-/// Standard deviation over the median absolute residual of a normal distribution.
-const SIGMA_PER_MEDIAN: f64 = 1.4826;
 /// Scale `c` of Geman and McClure's loss, in robust deviations of the residuals.
 const LOSS_SCALE: f64 = 3.0;
 /// Fewest points.

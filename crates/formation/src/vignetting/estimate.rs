@@ -11,12 +11,10 @@
 //! by Gauss-Newton with Cauchy's weights: gloss, moved edges and shadows are outliers.
 
 use super::Vignetting;
-use i2slam_compute::{median, solve_positive_definite};
+use i2slam_compute::{SIGMA_PER_MEDIAN, median, solve_positive_definite};
 
 /// Steps of Gauss-Newton; four reach the optimum.
 const STEPS: usize = 6;
-/// Standard deviation over the median absolute residual of a normal distribution.
-const SIGMA_PER_MEDIAN: f64 = 1.4826;
 /// Smallest scale of the residuals: the steps of 8-bit pictures.
 const MIN_SCALE: f64 = 0.003;
 /// Added to the diagonal of the normal equations, over its largest entry: keeps terms small that no

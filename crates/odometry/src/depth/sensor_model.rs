@@ -1,14 +1,12 @@
 //! Model of a depth sensor, read off the residuals of its readings.
 
-use i2slam_compute::median;
+use i2slam_compute::{SIGMA_PER_MEDIAN, median};
 
 /// Relative deviation of a reading before any was compared.
 const INITIAL_DEVIATION: f64 = 0.03;
 /// Readings per node of the deviation, at least, and most nodes.
 const MIN_READINGS: usize = 100;
 const MAX_NODES: usize = 8;
-/// Deviation of a normal distribution over its median absolute value.
-const SIGMA_PER_MEDIAN: f64 = 1.4826;
 /// Least relative deviation: readings are stored in single precision.
 const MIN_DEVIATION: f64 = 1e-5;
 

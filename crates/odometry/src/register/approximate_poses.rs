@@ -13,7 +13,7 @@ use crate::register::photographs::with_matches;
 use crate::register::registration::{adjust_globally, register_keyframes};
 use crate::sfm_state::{MAX_NOISE_SCALE, SfmState};
 use crate::track::tracks::Track;
-use i2slam_compute::{median, solve_positive_definite};
+use i2slam_compute::{SIGMA_PER_MEDIAN, median, solve_positive_definite};
 use i2slam_geometry::{Mat3, Pose, Vec3};
 use std::sync::Arc;
 
@@ -29,8 +29,6 @@ const MIN_DEVIATION: f64 = 1e-5;
 /// Rounds in which poses and their deviations are found in turn, and change of these at which they end.
 const MAX_ROUNDS: usize = 12;
 const SETTLED_CHANGE: f64 = 0.02;
-/// Standard deviations over the median length of normally distributed coordinates.
-const DEVIATION_OVER_MEDIAN: f64 = 1.4826;
 
 /// Poses of so many frames, the median distance from their middle as unit of length.
 pub(crate) fn in_unit_of_path(
@@ -171,7 +169,7 @@ fn found_deviations(state: &SfmState) -> Option<[f64; 2]> {
         return None;
     }
     let deviation = |all: &mut Vec<f64>, least: f64| {
-        let of_both = DEVIATION_OVER_MEDIAN * median(all)?;
+        let of_both = SIGMA_PER_MEDIAN * median(all)?;
         Some((of_both / 2_f64.sqrt()).max(least))
     };
     let [position, rotation] = least(state);

@@ -57,8 +57,9 @@ pub fn insert_evaluations(page: &str, sections: &[EvaluationSection]) -> Option<
     let (_, after) = rest.split_once(END)?;
     let mut out = String::new();
     if !sections.is_empty() {
-        out += "<section id=\"evaluation\">\n<h2>Evaluation</h2>\n<p>By \
-                <code>i2slam eval</code>, against what each names as its truth. Figures of two protocols are of different frames, by \
+        out += "<section id=\"evaluation\">\n<h2>Evaluation</h2>\n<p>Compared by \
+                <code>i2slam eval</code> with the truth that each section names. Figures of \
+                two protocols are of different frames, by \
                 different measures: they must not stand in one column. They lie \
                 beside this page in <code>evaluation.json</code>.</p>\n<div class=\"plots\">";
         sections.iter().for_each(|section| write_section(&mut out, section));
