@@ -2,6 +2,8 @@
 //!
 //! Values that all presets share are constants beside the code that uses them.
 
+use crate::objective::PixelLoss;
+
 /// Learning rates, start values and schedules of a preset; files hold only the preset's name.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Parameters {
@@ -60,6 +62,8 @@ pub struct TrackingParameters {
 /// Parameters of maps of Gaussians.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GaussianParameters {
+    /// Loss of single pixels.
+    pub pixel_loss: PixelLoss,
     /// Standard deviation of a new Gaussian, in pixels of the frame that adds it.
     pub initial_scale: f32,
     /// Opacity of a new Gaussian.
@@ -162,12 +166,13 @@ const PAPER: Parameters = Parameters {
         image_weight: 0.15,
     },
     gaussians: GaussianParameters {
-        initial_scale: 1.0,   // SplaTAM
-        initial_opacity: 0.5, // SplaTAM: logit 0
-        mean_rate: 1e-4,      // SplaTAM
-        colour_rate: 2.5e-3,  // SplaTAM
-        scale_rate: 1e-3,     // SplaTAM
-        rotation_rate: 1e-3,  // SplaTAM
+        pixel_loss: PixelLoss::Absolute, // SplaTAM
+        initial_scale: 1.0,              // SplaTAM
+        initial_opacity: 0.5,            // SplaTAM: logit 0
+        mean_rate: 1e-4,                 // SplaTAM
+        colour_rate: 2.5e-3,             // SplaTAM
+        scale_rate: 1e-3,                // SplaTAM
+        rotation_rate: 1e-3,             // SplaTAM
         scene_radius_ratio: 3.0,
         selective_adam: false,
         reset_adam: true,
@@ -249,7 +254,8 @@ const DEFAULT: Parameters = Parameters {
         ..PAPER.frames
     },
     gaussians: GaussianParameters {
-        initial_scale: 0.5, // sharper
+        pixel_loss: PixelLoss::PseudoHuber, // nearer to the pictures
+        initial_scale: 0.5,                 // sharper
         initial_opacity: 0.8,
         mean_rate: 2e-4,
         colour_rate: 1.5e-2,

@@ -90,7 +90,8 @@ pub(super) fn moved_pixels(
         let mut samples = [None; MOMENTS];
         for (moment, sample) in samples.iter_mut().enumerate() {
             let time = (moment as f64 + 0.5) / MOMENTS as f64 - 0.5;
-            let point = blurred.surface_point(camera, (column, row), time)?;
+            let place = Camera::<f64>::pixel_centre(column, row);
+            let point = blurred.surface_point(camera, place, time)?;
             *sample = Some(sharp.cubic_sample_of(camera, valid_mask, point)?);
         }
         let sharp = samples.into_iter().collect::<Option<Vec<PictureSample>>>()?;

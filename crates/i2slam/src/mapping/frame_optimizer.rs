@@ -1,6 +1,7 @@
 //! Optimiser steps on exposure, white balance, responses and the motion during exposures.
 
 use super::context::MappingContext;
+use super::keyframe::Keyframe;
 use crate::config::ResponseScope;
 use crate::objective::Evaluation;
 use crate::tracking::RESPONSE_NODE_SPACING;
@@ -57,10 +58,11 @@ impl FrameOptimizers {
     pub(super) fn step(
         &mut self,
         context: &mut MappingContext<'_>,
-        frame: usize,
+        keyframe: &Keyframe,
         gauge_frame: usize,
         evaluation: &mut Evaluation,
     ) {
+        let frame = keyframe.frame;
         let is_gauge = frame == gauge_frame;
         if let Some(d_curve) = &mut evaluation.curve {
             if !is_gauge {
@@ -68,7 +70,7 @@ impl FrameOptimizers {
             }
             self.step_response(context, context.frames[frame].response, d_curve);
         }
-        if !is_gauge {
+        if !is_gauge && !keyframe.has_found_motion {
             self.step_motion(context, frame, &evaluation.shutter);
         }
     }

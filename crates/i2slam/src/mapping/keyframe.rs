@@ -3,7 +3,7 @@
 use crate::config::MappingConfig;
 use crate::objective::{Observation, blur_length};
 use crate::reconstruction::FrameEstimate;
-use i2slam_formation::ShutterPoses;
+use i2slam_formation::{CentreVelocity, ShutterPoses};
 use i2slam_geometry::{Camera, Pose, Tangent};
 use i2slam_storage::Stored;
 use std::sync::Arc;
@@ -15,6 +15,27 @@ pub(crate) struct Keyframe {
     pub(crate) frame: usize,
     pub(crate) observation: Stored<Observation>,
     pub(crate) adjacent: AdjacentFrames,
+    /// True if the motion during the exposure was found from pictures, and is neither stepped nor aligned
+    /// any more: a blurred map would shorten it again.
+    pub(crate) has_found_motion: bool,
+}
+
+impl Keyframe {
+    pub(crate) fn new(
+        frame: usize,
+        observation: Stored<Observation>,
+        adjacent: AdjacentFrames,
+    ) -> Self {
+        Self { frame, observation, adjacent, has_found_motion: false }
+    }
+
+    /// Motion from start to end of the exposure of this keyframe's estimate, if it was found from pictures.
+    pub(crate) fn exposure_motion(&self, estimate: &FrameEstimate) -> Option<Tangent<f64>> {
+        match self.has_found_motion {
+            true => Some(CentreVelocity::from(estimate.shutter).velocity),
+            false => self.adjacent.exposure_motion,
+        }
+    }
 }
 
 /// The pictures of keyframes, read where they are not in memory.

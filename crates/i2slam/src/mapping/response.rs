@@ -179,12 +179,7 @@ fn blurred_pixels(
     curve: &ResponseCurve<f32>,
     lens: Vignetting<f32>,
 ) -> Vec<BlurPair> {
-    let log_light = |sample: &PictureSample, channel: usize| {
-        let value = sample.values[channel];
-        let is_exposed = (BLUR_COMPARED[0]..=BLUR_COMPARED[1]).contains(&value);
-        let light = || log_linear(curve, channel, f64::from(value)) - log_vignetting(lens, sample);
-        is_exposed.then(light)
-    };
+    let log_light = |sample: &PictureSample, channel| log_light(curve, lens, sample, channel);
     let pixel = |moved: &MovedPixel, channel: usize| {
         let mut sharp = [0.0; MOMENTS];
         for (log, sample) in sharp.iter_mut().zip(&moved.sharp) {
@@ -200,6 +195,19 @@ fn blurred_pixels(
         channels: std::array::from_fn(|channel| of_channel(view, channel)),
     };
     blurred.par_iter().map(pair).collect()
+}
+
+/// Logarithm of the light of a sample behind the lens; `None` where it is badly exposed.
+pub(super) fn log_light(
+    curve: &ResponseCurve<f32>,
+    lens: Vignetting<f32>,
+    sample: &PictureSample,
+    channel: usize,
+) -> Option<f64> {
+    let value = sample.values[channel];
+    let is_exposed = (BLUR_COMPARED[0]..=BLUR_COMPARED[1]).contains(&value);
+    let light = || log_linear(curve, channel, f64::from(value)) - log_vignetting(lens, sample);
+    is_exposed.then(light)
 }
 
 pub(super) fn log_linear(curve: &ResponseCurve<f32>, channel: usize, value: f64) -> f64 {

@@ -6,6 +6,7 @@
 
 use super::context::MappingContext;
 use super::depth_inpainting::MIN_SURFACE_OPACITY;
+use super::exposure_motion::readout_ratio;
 use super::keyframe::Keyframe;
 use super::mapper::Mapper;
 use crate::keyframes::project_rolling;
@@ -30,7 +31,7 @@ const MAX_DEPTH_DIFFERENCE: f64 = 0.02;
 pub(super) const PLACE_DEVIATION: f64 = 0.5;
 
 /// A picture at the place of a surface point.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct PictureSample {
     /// Picture values of red, green and blue.
     pub(super) values: [f32; 3],
@@ -171,8 +172,7 @@ impl View {
         valid_mask: Option<&Image<bool>>,
         point_in_world: Vec3<f64>,
     ) -> Option<PictureSample> {
-        let point = self.seen_point(camera, point_in_world)?;
-        let (u, v) = self.place(camera, valid_mask, point)?;
+        let (u, v) = self.place_of(camera, valid_mask, point_in_world)?;
         let colour = &self.observation.colour;
         let tap = colour.cubic_tap(u as f32, v as f32)?;
         Some(PictureSample {
@@ -198,19 +198,40 @@ impl View {
         })
     }
 
-    /// The point of the world that a pixel sees at a time of its exposure, from -½ to ½; `None` without a
-    /// surface.
+    /// The keyframe with another motion over its exposure.
+    pub(super) fn with_velocity(self, velocity: Tangent<f64>) -> Self {
+        let readout = self.readout * readout_ratio(self.velocity, velocity);
+        Self { velocity, readout, ..self }
+    }
+
+    /// The keyframe with a motion over its exposure that is so many times as long.
+    pub(super) fn scaled(self, length: f64) -> Self {
+        let velocity = self.velocity.scaled(length);
+        self.with_velocity(velocity)
+    }
+
+    /// The point of the world that a place in the picture shows at a time of the exposure, from -½ to ½;
+    /// `None` without a surface.
     pub(super) fn surface_point(
         &self,
         camera: &Camera<f64>,
-        (column, row): (usize, usize),
+        (u, v): (f64, f64),
         time: f64,
     ) -> Option<Vec3<f64>> {
-        let z = f64::from(self.surface.at(0, column, row));
-        let (u, v) = Camera::<f64>::pixel_centre(column, row);
+        let z = f64::from(self.surface.at(0, u as usize, v as usize));
         let time = time + self.readout * (v / camera.height as f64 - 0.5);
         let moved = Pose::identity().retract(self.velocity.scaled(time));
         (z > 0.0).then(|| self.world_from_camera * (moved * camera.unproject(u, v, z)))
+    }
+
+    /// Where the picture shows a point of the world; `None` where it is hidden or outside.
+    pub(super) fn place_of(
+        &self,
+        camera: &Camera<f64>,
+        valid_mask: Option<&Image<bool>>,
+        point_in_world: Vec3<f64>,
+    ) -> Option<(f64, f64)> {
+        self.place(camera, valid_mask, self.seen_point(camera, point_in_world)?)
     }
 
     /// A point of the world in the camera at mid-exposure; `None` where it is hidden or outside.

@@ -131,7 +131,7 @@ mod tests {
         let blank = Observation::new(Image::new(8, 8, 3), Image::new(8, 8, 1));
         let observation = ScratchStore::in_memory().insert(blank);
         let adjacent = AdjacentFrames::default();
-        let keyframe = |frame| Keyframe { frame, observation: observation.clone(), adjacent };
+        let keyframe = |frame| Keyframe::new(frame, observation.clone(), adjacent);
         let still = ShutterPoses::still(Pose::identity());
         let frames: Vec<FrameEstimate> =
             (0..6).map(|index| FrameEstimate::at_pose(index, 0.0, still)).collect();

@@ -2,7 +2,7 @@
 
 use super::Observation;
 use super::exposure::{Exposure, ExposureRenderer};
-use super::losses::{depth_error, depth_gradient, image_loss};
+use super::losses::{ImageLoss, depth_error, depth_gradient, image_loss};
 use super::ssim::Ssim;
 use i2slam_formation::{CurveGradient, Formation, FrameToneGradient, ShutterTangent};
 use i2slam_geometry::{Camera, Image, Pose};
@@ -160,8 +160,7 @@ impl<M: RadianceMap> FrameObjective<M> {
         map: &M,
         observation: &Observation,
         variables: &FrameVariables<'_>,
-        ssim_share: f32,
-        weights: (f32, f32),
+        (loss, depth_weight): (ImageLoss, f32),
         d_map: &mut M::Gradient,
     ) -> Evaluation {
         self.forward(map, variables);
@@ -174,18 +173,17 @@ impl<M: RadianceMap> FrameObjective<M> {
             &self.picture,
             &observation.colour,
             observation.ssim_reference(),
-            ssim_share,
-            weights.0,
+            loss,
             &mut self.ssim,
             &mut self.d_picture,
         );
         self.clear_unrecorded();
-        let depth_weight = weights.1 / pixels.max(1) as f32;
+        let weight = depth_weight / pixels.max(1) as f32;
         let depths = self.renderer.depth(best);
-        depth_gradient(depths, observation, &self.mask, depth_weight, &mut self.d_depth);
+        depth_gradient(depths, observation, &self.mask, weight, &mut self.d_depth);
         let mut evaluation = self.backward(map, variables, best, Some(d_map));
         evaluation.depth = depth_error / pixels.max(1) as f64;
-        evaluation.total = image_total + f64::from(weights.1) * evaluation.depth;
+        evaluation.total = image_total + f64::from(depth_weight) * evaluation.depth;
         evaluation.image = image;
         evaluation.pixels = pixels;
         evaluation
@@ -270,7 +268,7 @@ impl<M: RadianceMap> FrameObjective<M> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::objective::{BlurMethod, Sampling};
+    use crate::objective::{BlurMethod, PixelLoss, Sampling};
     use i2slam_check::{central_differences, noise, relative_error};
     use i2slam_formation::{
         CameraResponse, FrameTone, NodeSpacing, Quadrature, ShutterPoses, StartCurve, Vignetting,
@@ -280,6 +278,8 @@ mod tests {
     use i2slam_radiance::gaussian::{
         ColourActivation, Gaussian, GaussianMap, MapGradient, RasterSettings, Rasterizer, Shape,
     };
+
+    const LOSS: ImageLoss = ImageLoss { pixel: PixelLoss::Absolute, ssim_share: 0.2, weight: 0.5 };
 
     const CAMERA: Camera<f32> =
         Camera { width: 32, height: 24, fx: 30.0, fy: 30.0, cx: 16.0, cy: 12.0 };
@@ -354,7 +354,7 @@ mod tests {
         let mut objective = FrameObjective::new(CAMERA, smooth());
         let mut d_map = MapGradient::new(&map());
         if mapping {
-            objective.map(&map(), &observation(), &variables, 0.2, (0.5, 1.0), &mut d_map)
+            objective.map(&map(), &observation(), &variables, (LOSS, 1.0), &mut d_map)
         } else {
             objective.track(&map(), &observation(), &variables, 0.0, (0.5, 1.0))
         }
@@ -454,7 +454,7 @@ mod tests {
         let mut objective = FrameObjective::new(CAMERA, smooth());
         objective.set_valid_mask(valid_mask);
         let mut d_map = MapGradient::new(&map());
-        objective.map(&map(), &observation(), &variables, 0.2, (0.5, 0.0), &mut d_map);
+        objective.map(&map(), &observation(), &variables, (LOSS, 0.0), &mut d_map);
         assert!(d_map.colours.iter().flatten().all(|&g| g == 0.0));
     }
 }

@@ -5,50 +5,96 @@ use super::ssim::{Ssim, SsimReference};
 use i2slam_geometry::{Image, Real};
 use rayon::prelude::*;
 
-/// `weight` times the mean over pixels and channels of `(1 - share) |C - Ĉ| + share (1 - SSIM)`,
-/// and the mean of `|C - Ĉ|` alone. Writes the derivative of the first to `d_picture`.
+/// Comparison of a predicted picture with the one taken: `weight` times the mean over pixels and channels
+/// of `(1 - ssim_share) ρ(C - Ĉ) + ssim_share (1 - SSIM)`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ImageLoss {
+    /// `ρ`.
+    pub pixel: PixelLoss,
+    /// Share of the structural dissimilarity.
+    pub ssim_share: f32,
+    /// Weight against other terms.
+    pub weight: f32,
+}
+
+/// Loss of a single pixel and channel whose picture values differ by `e`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PixelLoss {
+    /// `|e|` (SplaTAM).
+    Absolute,
+    /// `(δ²/ε) (√(1 + (e/δ)²) - 1)` (Charbonnier; pseudo-Huber): a square up to `δ` = 0.1, which has no
+    /// kink where pictures agree and asks for the edges that are missed by most, and linear beyond for
+    /// what is not of the scene. At `ε` = 0.02 its slope is that of the absolute difference.
+    PseudoHuber,
+}
+
+/// `δ` and `ε` of [`PixelLoss::PseudoHuber`].
+const LINEAR_FROM: f64 = 0.1;
+const UNIT_SLOPE_AT: f64 = 0.02;
+
+impl PixelLoss {
+    /// Loss of a difference, and its derivative.
+    fn value_and_slope<T: Real>(self, difference: T) -> (T, T) {
+        match self {
+            Self::Absolute if difference == T::zero() => (T::zero(), T::zero()),
+            Self::Absolute => (difference.abs(), difference.signum()),
+            Self::PseudoHuber => {
+                let ratio = difference * T::of(1.0 / LINEAR_FROM);
+                let root = (T::one() + ratio * ratio).sqrt();
+                let slope = difference * T::of(1.0 / UNIT_SLOPE_AT) / root;
+                // root - 1 without cancellation.
+                (slope * difference * root / (root + T::one()), slope)
+            }
+        }
+    }
+}
+
+/// The [`ImageLoss`], and the mean of `|C - Ĉ|` alone. Writes the derivative of the first to `d_picture`.
 pub(crate) fn image_loss<T: Real>(
     picture: &Image<T>,
     observed: &Image<T>,
     reference: &SsimReference<T>,
-    share: f32,
-    weight: f32,
+    loss: ImageLoss,
     ssim: &mut Ssim<T>,
     d_picture: &mut Image<T>,
 ) -> (f64, f64) {
     d_picture.reset(picture.width, picture.height, picture.channels);
     let count = picture.data.len() as f64;
-    let (share, weight) = (f64::from(share), f64::from(weight));
+    let (share, weight) = (f64::from(loss.ssim_share), f64::from(loss.weight));
     let scale = T::of(weight * (1.0 - share) / count);
-    let l1 = absolute_difference(&picture.data, &observed.data, scale, &mut d_picture.data) / count;
+    let (data, gradient) = ((&picture.data[..], &observed.data[..]), &mut d_picture.data);
+    let [pixels, l1] = pixel_losses(loss.pixel, data, scale, gradient).map(|sum| sum / count);
     let mut dissimilarity = 0.0;
     if share > 0.0 {
         let (scale, gradient) = (T::of(-weight * share / count), &mut d_picture.data);
         let sum = ssim.pull_back(picture, observed, reference, scale, gradient);
         dissimilarity = (count - sum) / count;
     }
-    (weight * ((1.0 - share) * l1 + share * dissimilarity), l1)
+    (weight * ((1.0 - share) * pixels + share * dissimilarity), l1)
 }
 
-/// Parts of the sum of absolute differences; fixed, so that the sum does not depend on the number
-/// of threads.
+/// Parts of the sum of differences; fixed, so that the sum does not depend on the number of threads.
 const PARTS: usize = 8;
 
-/// `Σ |x - y|`; adds `scale · sign(x - y)` to the gradient.
-fn absolute_difference<T: Real>(x: &[T], y: &[T], scale: T, gradient: &mut [T]) -> f64 {
+/// `Σ ρ(x - y)` and `Σ |x - y|`; adds `scale` times the derivative of the first to the gradient.
+fn pixel_losses<T: Real>(
+    loss: PixelLoss,
+    (x, y): (&[T], &[T]),
+    scale: T,
+    gradient: &mut [T],
+) -> [f64; 2] {
     let part = x.len().div_ceil(PARTS).max(1);
-    let mut sums = [0.0; PARTS];
+    let mut sums = [[0.0; 2]; PARTS];
     let work = x.par_chunks(part).zip(y.par_chunks(part)).zip(gradient.par_chunks_mut(part));
-    work.zip(&mut sums).for_each(|(((x, y), gradient), sum)| {
+    work.zip(&mut sums).for_each(|(((x, y), gradient), sums)| {
         for ((&x, &y), g) in x.iter().zip(y).zip(gradient) {
-            let d = x - y;
-            *sum += d.abs().to_f64();
-            if d != T::zero() {
-                *g += scale * d.signum();
-            }
+            let (value, slope) = loss.value_and_slope(x - y);
+            sums[0] += value.to_f64();
+            sums[1] += (x - y).abs().to_f64();
+            *g += scale * slope;
         }
     });
-    sums.iter().sum()
+    std::array::from_fn(|k| sums.iter().map(|sums| sums[k]).sum())
 }
 
 /// `Σ w |d - d̂|` over the pixels of `mask`, weighted by [`Observation::depth_weight`] (eq. 14).
@@ -100,27 +146,46 @@ mod tests {
         Image { width: 16, height: 14, channels: 3, data }
     }
 
-    fn loss(x: &Image<f64>, y: &Image<f64>, share: f32) -> (f64, Image<f64>) {
+    fn loss(
+        x: &Image<f64>,
+        y: &Image<f64>,
+        pixel: PixelLoss,
+        ssim_share: f32,
+    ) -> (f64, Image<f64>) {
         let mut gradient = Image::default();
         let (reference, mut ssim) = (SsimReference::new(y), Ssim::default());
-        let value = image_loss(x, y, &reference, share, 0.5, &mut ssim, &mut gradient).0;
+        let loss = ImageLoss { pixel, ssim_share, weight: 0.5 };
+        let value = image_loss(x, y, &reference, loss, &mut ssim, &mut gradient).0;
         (value, gradient)
     }
 
     #[test]
     fn equal_pictures_have_no_loss() {
-        assert!(loss(&picture(1), &picture(1), 0.2).0.abs() < 1e-12);
+        for pixel in [PixelLoss::Absolute, PixelLoss::PseudoHuber] {
+            assert!(loss(&picture(1), &picture(1), pixel, 0.2).0.abs() < 1e-12);
+        }
     }
 
     #[test]
     fn the_derivative_agrees_with_differences() {
         let (x, y) = (picture(1), picture(2));
-        for share in [0.0, 0.2, 1.0] {
-            let gradient = loss(&x, &y, share).1;
-            assert_gradient("image loss", &x.data, &gradient.data, 1e-5, 1e-6, |data| {
-                loss(&Image { data: data.to_vec(), ..x.clone() }, &y, share).0
-            });
+        for pixel in [PixelLoss::Absolute, PixelLoss::PseudoHuber] {
+            for share in [0.0, 0.2, 1.0] {
+                let gradient = loss(&x, &y, pixel, share).1;
+                assert_gradient("image loss", &x.data, &gradient.data, 1e-5, 1e-6, |data| {
+                    loss(&Image { data: data.to_vec(), ..x.clone() }, &y, pixel, share).0
+                });
+            }
         }
+    }
+
+    #[test]
+    fn a_smooth_loss_is_a_square_near_zero_and_linear_far_away() {
+        let of = |difference: f64| PixelLoss::PseudoHuber.value_and_slope(difference);
+        assert!((of(1e-4).0 - 0.5 * 1e-8 / UNIT_SLOPE_AT).abs() < 1e-12);
+        assert!((of(UNIT_SLOPE_AT).1 - 1.0).abs() < 0.03);
+        assert!((of(-100.0).1 + LINEAR_FROM / UNIT_SLOPE_AT).abs() < 1e-4);
+        assert_eq!(PixelLoss::Absolute.value_and_slope(0.0_f64), (0.0, 0.0));
     }
 
     fn row(data: [f32; 3]) -> Image<f32> {

@@ -15,5 +15,6 @@ pub use exposure::{BlurMethod, Exposure, Sampling};
 pub use exposure::{blur_length, blur_length_at, virtual_camera_count};
 pub(crate) use frame::form_picture;
 pub use frame::{Evaluation, FrameObjective, FrameVariables};
+pub use losses::{ImageLoss, PixelLoss};
 pub use observation::Observation;
 pub use rays::{PixelBatch, RayObjective, ShutterHessian};

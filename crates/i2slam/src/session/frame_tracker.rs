@@ -97,8 +97,13 @@ impl FrameTracker {
             };
             let observation = keyframe.observation.get();
             let frame = (&mut estimate, &observation.colour);
-            let known = (previous.as_ref(), keyframe.adjacent.exposure_motion);
+            let known =
+                (previous.as_ref(), keyframe.exposure_motion(&context.frames[keyframe.frame]));
             self.localize(mapper, context, frame, known, others);
+            if keyframe.has_found_motion {
+                let known = &context.frames[keyframe.frame];
+                (estimate.shutter, estimate.readout) = (known.shutter, known.readout);
+            }
             if keyframe.frame == context.gauge_frame(keyframe) {
                 estimate.tone = tone;
             }

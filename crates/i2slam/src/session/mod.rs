@@ -1,5 +1,6 @@
 //! Sessions: frames or keyframes go in one by one, a reconstruction comes out.
 
+mod calibration;
 mod correction;
 mod error;
 mod frame_tracker;
@@ -18,9 +19,8 @@ pub use runtime_estimate::RuntimeEstimate;
 
 use crate::config::{Config, MapKind, MappingConfig};
 use crate::mapping::{
-    FieldMapper, FoundTone, GaussianMapper, Growth, JointFieldMapper, Keyframe, LensVignetting,
-    Mapper, MappingContext, RefinementStep, compare_blurred_keyframes, compare_keyframes,
-    find_tone, finds_response, is_comparison_due,
+    FieldMapper, GaussianMapper, Growth, JointFieldMapper, Keyframe, Mapper, MappingContext,
+    RefinementStep, is_comparison_due,
 };
 use crate::reconstruction::{FrameEstimate, Reconstruction};
 use crate::tracking::SequenceReadout;
@@ -226,30 +226,6 @@ impl Session {
         }
     }
 
-    /// Finds response, vignetting and whether white balance is constant anew, from all keyframes.
-    fn calibrate_light(&mut self) {
-        let has_vignetting = self.config.formation.vignetting && self.config.formation.tone;
-        let has_response = finds_response(&self.config) && self.mapper.gaussians() > 0;
-        if !(has_vignetting || has_response) {
-            return;
-        }
-        let lens = self.state.lens_vignetting();
-        let (mapper, _, mut context) = self.mapping();
-        let compared = compare_keyframes(mapper, &context);
-        let mut tone = FoundTone::default();
-        if has_response {
-            let blurred = compare_blurred_keyframes(mapper, &context);
-            tone = find_tone(mapper, &mut context, (&compared, &blurred), lens);
-        }
-        let found = has_vignetting.then(|| LensVignetting::find(&context, &compared)).flatten();
-        if let Some(found) = found {
-            self.state.vignetting = found;
-        }
-        self.state.has_found_response |= tone.has_response;
-        let was_constant = self.state.has_constant_white_balance;
-        self.state.has_constant_white_balance = tone.has_constant_white_balance.or(was_constant);
-    }
-
     /// Final steps over all keyframes; where their poses are refined, in parts between which all are
     /// localised again.
     fn refine_all(&mut self, on_step: OnWatchedStep<'_>) -> Result<(), SettingsError> {
@@ -270,6 +246,7 @@ impl Session {
         for round in 0..=relocalizations {
             let first = (round * part).min(plan.steps);
             let steps = first..(first + part).min(plan.steps);
+            self.find_motions();
             self.calibrate_light();
             let vignetting = self.state.lens_vignetting();
             let (mapper, tracker, mut context) = self.mapping();

@@ -106,7 +106,7 @@ impl Session {
             self.initialize_first_exposure();
         }
         if maps {
-            self.map_keyframe(Keyframe { frame: position, observation, adjacent })?;
+            self.map_keyframe(Keyframe::new(position, observation, adjacent))?;
         }
         let estimate = &mut self.state.frames[position];
         estimate.mapping_seconds = clock.elapsed().as_secs_f64();

@@ -55,8 +55,7 @@ impl Session {
                 is_keyframe(&self.config.mapping, &self.camera, frames, last, &observation)
             });
         let observation = scratch.insert(observation);
-        let current =
-            Keyframe { frame: position, observation, adjacent: AdjacentFrames::default() };
+        let current = Keyframe::new(position, observation, AdjacentFrames::default());
         if frames[position].keyframe {
             keyframes.push(current.clone());
         }

@@ -5,7 +5,7 @@ use crate::mapping::context::MappingContext;
 use crate::mapping::frame_optimizer::{FrameOptimizers, adam};
 use crate::mapping::keyframe::Keyframe;
 use crate::mapping::mapper::ComparedMap;
-use crate::objective::{Evaluation, FrameVariables, Observation};
+use crate::objective::{Evaluation, FrameVariables, ImageLoss, Observation};
 use i2slam_compute::Adam;
 use i2slam_formation::Formation;
 use i2slam_radiance::gaussian::{GaussianMap, MapGradient, Shape};
@@ -13,7 +13,7 @@ use rayon::prelude::*;
 
 /// λ_img, a mean over pixels (SplaTAM).
 const IMAGE_WEIGHT: f32 = 0.5;
-/// Share of 1 - SSIM in the image loss; the rest is L1 (SplaTAM).
+/// Share of 1 - SSIM in the image loss (SplaTAM).
 const SSIM_SHARE: f32 = 0.2;
 /// Learning rate of the coefficients of view colours, as a share of that of colours.
 const VIEW_COLOUR_RATE: f32 = 0.5;
@@ -94,7 +94,7 @@ impl GaussianOptimizer {
         let mut evaluation = self.evaluate(context, target, (keyframe, observation));
         self.step_map(context.config, &mut target.map);
         let gauge_frame = context.gauge_frame(keyframe);
-        self.frames.step(context, keyframe.frame, gauge_frame, &mut evaluation);
+        self.frames.step(context, keyframe, gauge_frame, &mut evaluation);
     }
 
     /// The derivative of the loss of one keyframe by the map.
@@ -126,13 +126,17 @@ impl GaussianOptimizer {
                 vignetting: context.vignetting,
             }),
         };
+        let loss = ImageLoss {
+            pixel: config.parameters.gaussians.pixel_loss,
+            ssim_share: SSIM_SHARE,
+            weight: IMAGE_WEIGHT,
+        };
         self.gradient.reset(map);
         objective.map(
             map,
             observation,
             &variables,
-            SSIM_SHARE,
-            (IMAGE_WEIGHT, config.mapping.depth_weight),
+            (loss, config.mapping.depth_weight),
             &mut self.gradient,
         )
     }
