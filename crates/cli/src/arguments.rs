@@ -6,8 +6,9 @@ use crate::live_viewer::LiveViewer;
 use clap::Args;
 use clap::builder::{PathBufValueParser, TypedValueParser};
 use i2slam::dataset::OpenOptions;
-use std::ops::Range;
+use std::ops::{Range, RangeInclusive};
 use std::path::{Path, PathBuf};
+use std::str::FromStr;
 use std::sync::Arc;
 
 /// Selection, size and camera of the frames.
@@ -17,15 +18,15 @@ pub(crate) struct Input {
     #[arg(long, value_name = "A..B", value_parser = frame_range)]
     pub(crate) frames: Option<Range<usize>>,
     /// Every N-th frame
-    #[arg(long, value_name = "N", default_value_t = 1)]
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = number::<usize>("a count of frames"))]
     pub(crate) stride: usize,
     /// Size of the processed pictures over that of the recorded ones [default: 1, but see
     /// --max-side]
-    #[arg(long, value_name = "S")]
+    #[arg(long, value_name = "S", value_parser = number::<f64>("a factor as in 0.5"))]
     pub(crate) scale: Option<f64>,
-    /// Longer side of the processed pictures at most [px] [default: 640 for videos and colour
-    /// alone, unless --scale is given]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(16..=65_535))]
+    /// Longer side of the processed pictures at most [px]; those that come out, as renders and exports,
+    /// are of the same size [default: 640 for videos and colour alone, unless --scale is given]
+    #[arg(long, value_name = "N", value_parser = picture_side)]
     pub(crate) max_side: Option<u32>,
     /// Camera file to use instead of the folder's camera.json
     #[arg(long, value_name = "FILE.json", value_parser = existing_path())]
@@ -42,7 +43,13 @@ pub(crate) struct Input {
     pub(crate) intrinsics: Option<Vec<String>>,
     /// Camera: horizontal field of view, without distortion. For colour alone it is estimated
     /// from the pictures if no camera is given
-    #[arg(long, value_name = "DEGREES", allow_negative_numbers = true, conflicts_with = "camera")]
+    #[arg(
+        long,
+        value_name = "DEGREES",
+        allow_negative_numbers = true,
+        conflicts_with = "camera",
+        value_parser = number::<f64>("degrees as in 60")
+    )]
     pub(crate) fov: Option<f64>,
     /// Value of one metre in the depth images
     #[arg(long, value_name = "N")]
@@ -75,6 +82,22 @@ pub(crate) struct Machine {
     /// Print warnings and the summary only
     #[arg(long)]
     pub(crate) quiet: bool,
+}
+
+/// Parser of a number; another text is answered with what was expected.
+pub(crate) fn number<T: FromStr>(
+    expected: &'static str,
+) -> impl Fn(&str) -> Result<T, String> + Clone {
+    move |text| text.trim().parse().map_err(|_| format!("expected {expected}"))
+}
+
+/// Longer side of pictures [px] that is accepted.
+const PICTURE_SIDES: RangeInclusive<u32> = 16..=65_535;
+
+fn picture_side(text: &str) -> Result<u32, String> {
+    let side = text.trim().parse().ok().filter(|side| PICTURE_SIDES.contains(side));
+    let (least, most) = (PICTURE_SIDES.start(), PICTURE_SIDES.end());
+    side.ok_or_else(|| format!("expected a whole number of pixels, {least} to {most}"))
 }
 
 pub(crate) fn frame_range(text: &str) -> Result<Range<usize>, String> {

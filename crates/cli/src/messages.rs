@@ -47,9 +47,11 @@ pub(super) fn input_lines(sequence: &Sequence) -> Vec<String> {
     let camera = &sequence.camera;
     let mut lines = Vec::new();
     let (width, height) = sequence.recorded_size;
-    let seconds = match sequence.entries.as_slice() {
-        [first, .., last] => last.timestamp - first.timestamp,
-        _ => 0.0,
+    let duration = match sequence.entries.as_slice() {
+        [first, .., last] if !sequence.are_times_assumed => {
+            format!(", {:.1} s", last.timestamp - first.timestamp)
+        }
+        _ => String::new(),
     };
     let reduced = if (camera.width, camera.height) == (width, height) {
         String::new()
@@ -63,9 +65,10 @@ pub(super) fn input_lines(sequence: &Sequence) -> Vec<String> {
     };
     if sequence.layout == Layout::Video || !reduced.is_empty() {
         lines.push(format!(
-            "{}: {} frames of {width}x{height} px, {seconds:.1} s{reduced}",
+            "{}: {} {} of {width}x{height} px{duration}{reduced}",
             sequence.name,
-            sequence.len()
+            sequence.len(),
+            if sequence.are_times_assumed { "pictures" } else { "frames" }
         ));
     }
     let view = camera.horizontal_field_of_view().to_degrees();
@@ -117,18 +120,25 @@ pub(crate) fn camera_lines(camera: &CameraEstimate) -> Vec<String> {
 
 /// The expected duration of a long run, and, where flags can change it, what makes it shorter.
 pub(crate) fn forecast_line(forecast: &RuntimeForecast, is_adjustable: bool) -> Option<String> {
-    let RuntimeForecast { seconds, frames, keyframes, size: (width, height), is_second } =
-        *forecast;
+    let RuntimeForecast { seconds, frames, keyframes, size: (width, height), .. } = *forecast;
     if seconds <= MIN_FORECAST {
         return None;
     }
     let duration = rounded_duration(seconds);
-    if is_second {
+    if forecast.is_second {
         return Some(format!(
             "this will take about {duration} in all: {keyframes} frames are keyframes"
         ));
     }
-    let advice = if is_adjustable { advice(width.max(height)) } else { String::new() };
+    let advice = match is_adjustable {
+        true => advice(width.max(height), forecast.is_unordered),
+        false => String::new(),
+    };
+    if forecast.is_unordered {
+        return Some(format!(
+            "this will take about {duration}: {frames} photographs of {width}x{height} px{advice}"
+        ));
+    }
     Some(format!(
         "this will take about {duration}: {frames} frames of {width}x{height} px, some {keyframes} \
          keyframes{advice}"
@@ -136,13 +146,17 @@ pub(crate) fn forecast_line(forecast: &RuntimeForecast, is_adjustable: bool) -> 
 }
 
 /// Flags that make a run on pictures of this longer side [px] shorter.
-fn advice(side: usize) -> String {
+fn advice(side: usize, is_unordered: bool) -> String {
     let half = side / 2;
-    let smaller = match half >= MIN_ADVISED_SIDE {
-        true => format!("--max-side {half} would take about a third of that, "),
-        false => String::new(),
-    };
-    format!("; {smaller}--stride N takes every N-th frame, --frames A..B a part")
+    match (half >= MIN_ADVISED_SIDE, is_unordered) {
+        (true, true) => format!("; --max-side {half} would take about half of that"),
+        (false, true) => String::new(),
+        (true, false) => format!(
+            "; --max-side {half} would take about a third of that, --stride N takes every N-th frame, \
+             --frames A..B a part"
+        ),
+        (false, false) => "; --stride N takes every N-th frame, --frames A..B a part".to_owned(),
+    }
 }
 
 /// A duration in words, as precise as a forecast is.
@@ -154,11 +168,32 @@ fn rounded_duration(seconds: f64) -> String {
     }
 }
 
-/// Prints the summary of a run, its last line the path of the report.
+/// Files named in a line.
+const MAX_NAMED_FILES: usize = 8;
+
+/// The photographs that have no pose, and what would help; `None` if all have one.
+fn not_placed_line(metrics: &Metrics, files: &[String]) -> Option<String> {
+    let missing = metrics.frames_given.saturating_sub(metrics.tracked);
+    let named = files.iter().take(MAX_NAMED_FILES).map(String::as_str);
+    let mut named = named.collect::<Vec<_>>().join(", ");
+    if files.len() > MAX_NAMED_FILES {
+        named += &format!(" and {} more", files.len() - MAX_NAMED_FILES);
+    }
+    (missing > 0).then(|| {
+        format!(
+            "{missing} of {} have no pose and are not in the map: {named}; add photographs from between these \
+             and the others, at most 20 degrees apart, so that each shows much of what the next one does",
+            counted(metrics.frames_given, "photograph"),
+        )
+    })
+}
+
+/// Prints the summary of a run, its last line the path of the report; `not_placed` are the files of frames
+/// without a pose.
 pub(super) fn print_summary(
     print: fn(&str),
     metrics: &Metrics,
-    map: &str,
+    (map, not_placed): (&str, &[String]),
     folder: &Path,
     is_readout_estimated: bool,
 ) {
@@ -167,8 +202,13 @@ pub(super) fn print_summary(
         (true, true) => " (degraded)",
         (true, false) => "",
     };
-    let frames = counted(metrics.frames_given, "frame");
-    print(&format!("{} of {frames} tracked{unfinished}, {map}", metrics.tracked));
+    let (noun, found) =
+        if metrics.unordered { ("photograph", "placed") } else { ("frame", "tracked") };
+    let frames = counted(metrics.frames_given, noun);
+    print(&format!("{} of {frames} {found}{unfinished}, {map}", metrics.tracked));
+    if metrics.unordered {
+        not_placed_line(metrics, not_placed).iter().for_each(|line| print(line));
+    }
     if let Some(error) = metrics.ate_rmse_m {
         let centimetres = error * 100.0;
         let digits = if centimetres < 0.1 { 4 } else { 2 };
@@ -242,13 +282,25 @@ mod tests {
     }
 
     #[test]
+    fn photographs_without_a_pose_are_named() {
+        let metrics = Metrics { frames_given: 12, tracked: 12, ..Metrics::default() };
+        assert_eq!(not_placed_line(&metrics, &[]), None);
+        let files: Vec<String> = (0..10).map(|i| format!("{i}.jpg")).collect();
+        let line = not_placed_line(&Metrics { tracked: 2, ..metrics }, &files).expect("ten");
+        assert!(line.starts_with("10 of 12 photographs have no pose"), "{line}");
+        assert!(line.contains(": 0.jpg, 1.jpg,") && line.contains("7.jpg and 2 more;"), "{line}");
+    }
+
+    #[test]
     fn forecasts_are_rounded_and_come_with_advice() {
         assert_eq!(rounded_duration(63.0), "60 s");
         assert_eq!(rounded_duration(754.0), "13 min");
         assert_eq!(rounded_duration(3.0 * 3600.0), "3.0 h");
         let (frames, keyframes, size) = (300, 62, (480, 640));
+        let (is_second, is_unordered) = (false, false);
+        let seconds = 600.0;
         let forecast =
-            RuntimeForecast { seconds: 600.0, frames, keyframes, size, is_second: false };
+            RuntimeForecast { seconds, frames, keyframes, size, is_second, is_unordered };
         let line = forecast_line(&forecast, true).expect("a long run");
         for part in
             ["10 min", "300 frames of 480x640 px", "62 keyframes", "--max-side 320", "--stride"]
@@ -260,6 +312,10 @@ mod tests {
         let line = forecast_line(&second, true).expect("a long run");
         assert_eq!(line, "this will take about 10 min in all: 62 frames are keyframes");
         assert_eq!(forecast_line(&RuntimeForecast { seconds: 50.0, ..forecast }, true), None);
-        assert!(!advice(320).contains("--max-side"));
+        assert!(!advice(320, false).contains("--max-side"));
+        let photographs = RuntimeForecast { is_unordered: true, ..forecast };
+        let line = forecast_line(&photographs, true).expect("a long run");
+        assert!(line.contains("300 photographs of 480x640 px; --max-side 320 would"), "{line}");
+        assert!(!line.contains("--stride"), "{line}");
     }
 }

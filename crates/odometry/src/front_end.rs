@@ -179,6 +179,11 @@ impl FrontEnd {
         is_in_time
     }
 
+    /// True if the pictures so far are photographs rather than frames of a film.
+    pub fn is_unordered(&self) -> bool {
+        self.photographs.is_unordered()
+    }
+
     /// Camera with which the last poses were found: the one given, or what keyframes have made of a guess
     /// so far. [`finish`](Self::finish) finds it from all pictures.
     pub fn camera(&self) -> Camera<f64> {

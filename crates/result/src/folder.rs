@@ -4,7 +4,7 @@ use crate::error::read_text;
 use crate::export::blended_colours::picture_splats;
 use crate::export::ply;
 use crate::pictures::DEPTH_UNITS_PER_METRE;
-use crate::{Metrics, ResultError, UnitOfLength, map, tables};
+use crate::{FrameFiles, Metrics, ResultError, UnitOfLength, map, tables};
 use i2slam::dataset::read_trajectory;
 use i2slam::formation::tone::NODES;
 use i2slam::formation::{CameraResponse, NodeSpacing, StartCurve, Vignetting};
@@ -41,8 +41,12 @@ pub const NAMES: &[&str] = &[
 /// `camera.json`, `camera_response.csv`, `state.json`, `map.i2slam`, `map.ply` (of Gaussians only),
 /// in this order.
 ///
-/// Every file is tried; returns the failures.
-pub fn save(folder: &OutputFolder, reconstruction: &Reconstruction) -> Vec<ResultError> {
+/// `files` are those of the pictures taken. Every file is tried; returns the failures.
+pub fn save(
+    folder: &OutputFolder,
+    reconstruction: &Reconstruction,
+    files: &FrameFiles,
+) -> Vec<ResultError> {
     let r = reconstruction;
     let unit = UnitOfLength::of(&r.config);
     let steps = [
@@ -54,7 +58,7 @@ pub fn save(folder: &OutputFolder, reconstruction: &Reconstruction) -> Vec<Resul
             }
         },
         folder.write_text("trajectory_shutter.txt", &tables::shutter_trajectory(&r.frames, unit)),
-        folder.write_text("frames.csv", &tables::frames(&r.frames)),
+        folder.write_text("frames.csv", &tables::frames(&r.frames, files)),
         folder.write_text("config.toml", &r.config.to_toml()),
         folder.write("camera.json", |out| write_json(out, &CameraFile::of(&r.camera))),
         folder.write_text("camera_response.csv", &tables::responses(r)),
@@ -92,6 +96,11 @@ pub fn save_trajectory(
 /// Writes `metrics.json`.
 pub fn save_metrics(folder: &OutputFolder, metrics: &Metrics) -> Result<(), ResultError> {
     Ok(folder.write("metrics.json", |out| write_json(out, metrics))?)
+}
+
+/// Reads `metrics.json`; `None` where it is missing or damaged.
+pub fn load_metrics(folder: &Path) -> Option<Metrics> {
+    read_json(&folder.join("metrics.json")).ok()
 }
 
 fn write_json(out: &mut dyn Write, value: &impl serde::Serialize) -> io::Result<()> {

@@ -5,6 +5,7 @@ mod archive;
 mod error;
 pub mod export;
 mod folder;
+mod frame_files;
 pub mod html;
 mod input;
 mod map;
@@ -19,8 +20,10 @@ mod viewer;
 
 pub use error::ResultError;
 pub use folder::{
-    NAMES, is_trajectory_edited, load, remove_renders, save, save_metrics, save_trajectory,
+    NAMES, is_trajectory_edited, load, load_metrics, remove_renders, save, save_metrics,
+    save_trajectory,
 };
+pub use frame_files::FrameFiles;
 pub use input::RunInput;
 pub use metrics::{Metrics, UnitOfLength};
 pub use pictures::{

@@ -1,6 +1,7 @@
 //! The text tables of a result: trajectories, `frames.csv`, camera response.
 
 use crate::error::read_text;
+use crate::frame_files::{FILE_COLUMN, FrameFiles};
 use crate::{ResultError, UnitOfLength};
 use i2slam::formation::{FrameTone, ShutterPoses};
 use i2slam::geometry::{Pose, Rotation, StampedPose, Tangent, Vec3};
@@ -9,7 +10,7 @@ use std::fmt::{Display, Write};
 use std::path::Path;
 use std::str::FromStr;
 
-/// Columns of `frames.csv`, in order.
+/// Columns of `frames.csv` before [`FILE_COLUMN`], in order.
 pub(crate) const FRAME_COLUMNS: [&str; 28] = [
     "index",
     "timestamp",
@@ -104,8 +105,8 @@ fn pose_line(timestamp: f64, poses: &[Pose<f64>], number: impl Fn(f64) -> String
 }
 
 /// `frames.csv`: one row per frame, in full precision but for times of work.
-pub(crate) fn frames(frames: &[FrameEstimate]) -> String {
-    let mut text = FRAME_COLUMNS.join(",");
+pub(crate) fn frames(frames: &[FrameEstimate], files: &FrameFiles) -> String {
+    let mut text = frame_header();
     text.push('\n');
     for frame in frames {
         let [log_exposure, red, green, blue] = frame.tone.to_array().map(f64::from);
@@ -146,9 +147,14 @@ pub(crate) fn frames(frames: &[FrameEstimate]) -> String {
             &rotation,
         ];
         text += &cells.map(|cell| cell.to_string()).join(",");
-        text.push('\n');
+        text += &format!(",{}\n", files.cell(frame.index));
     }
     text
+}
+
+/// First line of `frames.csv`.
+fn frame_header() -> String {
+    format!("{},{FILE_COLUMN}", FRAME_COLUMNS.join(","))
 }
 
 /// `camera_response.csv`: node, linear input, picture value of each curve; a leading `frame`
@@ -189,7 +195,9 @@ pub(crate) fn read_frames(
     let path = folder.join("frames.csv");
     let content = read_text(&path)?;
     let mut lines = content.lines();
-    if lines.next() != Some(FRAME_COLUMNS.join(",").as_str()) {
+    // Earlier versions wrote no files.
+    let header = lines.next().unwrap_or_default();
+    if header != frame_header() && header != FRAME_COLUMNS.join(",") {
         return Err(ResultError::format(&path, "does not begin with the expected column names"));
     }
     let shutters = shutters(&folder.join("trajectory_shutter.txt"))?;
@@ -207,8 +215,9 @@ pub(crate) fn read_frames(
 }
 
 fn frame(row: &str, shutter: ShutterPoses<f64>, responses: usize) -> Result<FrameEstimate, String> {
-    let row = Row(row.split(',').collect());
-    if row.0.len() != FRAME_COLUMNS.len() {
+    // Names of files may hold commas.
+    let row = Row(row.splitn(FRAME_COLUMNS.len() + 1, ',').collect());
+    if row.0.len() < FRAME_COLUMNS.len() {
         return Err(format!("{} columns, expected {}", row.0.len(), FRAME_COLUMNS.len()));
     }
     let log = |column: &str| row.value::<f64>(column).map(|gain| gain.ln() as f32);

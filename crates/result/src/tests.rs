@@ -90,7 +90,7 @@ fn output(path: &std::path::Path) -> OutputFolder {
 /// Saves a reconstruction.
 fn saved(path: &std::path::Path, reconstruction: &Reconstruction) {
     let mut folder = output(path);
-    assert!(save(&folder, reconstruction).is_empty());
+    assert!(save(&folder, reconstruction, &FrameFiles::default()).is_empty());
     folder.commit().expect("room");
 }
 
@@ -209,7 +209,7 @@ fn damage_is_named() {
 fn a_file_in_the_way_does_not_lose_the_result() {
     let scratch = TemporaryFolder::new("order");
     let mut folder = output(&scratch.join("out"));
-    assert!(save(&folder, &example(6)).is_empty());
+    assert!(save(&folder, &example(6), &FrameFiles::default()).is_empty());
     fs::write(scratch.join("out/state.json"), "mine").expect("a file in the way");
     let message = folder.commit_or_save().expect_err("in the way").to_string();
     assert!(message.contains("state.json") && message.contains("out-partial"), "{message}");
@@ -248,7 +248,7 @@ fn an_empty_reconstruction_is_saved_and_loaded() {
         map.retain(&[false; 7]);
     }
     let mut folder = output(&scratch.0);
-    assert!(save(&folder, &nothing).is_empty());
+    assert!(save(&folder, &nothing, &FrameFiles::default()).is_empty());
     assert!(save_metrics(&folder, &Metrics::of(&nothing)).is_ok());
     folder.commit().expect("room");
     let loaded = load(&scratch.0).expect("a result");

@@ -29,7 +29,8 @@ pub(crate) struct Arguments {
 pub(crate) enum Command {
     /// Reconstruct a sequence
     Run(Box<run::Run>),
-    /// Render pictures of a result: sharp, blurred as observed, HDR, depth
+    /// Render pictures of a result: sharp, blurred as observed, HDR, depth; as large as `run --max-side` has
+    /// made those of the map
     Render(render::Render),
     /// Write a result for other programs: Gaussians, pictures with poses, mesh, path
     Export(export::Export),

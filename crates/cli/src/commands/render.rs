@@ -41,6 +41,9 @@ pub(crate) struct Render {
     /// of your own, numbered after those that are there]
     #[arg(short, long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
+    /// Refused: the pictures have the size of those that the map was made of
+    #[arg(long, hide = true, value_name = "N", value_parser = refuse_size)]
+    pub(crate) size: Option<String>,
     /// Replace what was drawn into the folder given by --out before; other files in it stay
     #[arg(long, requires = "out")]
     pub(crate) overwrite: bool,
@@ -226,6 +229,12 @@ fn kinds(arguments: &Render, own_poses: bool) -> Result<Vec<RenderKind>, Failure
         ));
     }
     Ok(kinds)
+}
+
+/// Answers those who look for a size.
+fn refuse_size(_: &str) -> Result<String, &'static str> {
+    Err("render has no size: its pictures are as large as those that the map was made of, which \
+         `i2slam run --max-side N` decides")
 }
 
 fn kind(name: &str) -> Result<RenderKind, Failure> {

@@ -167,7 +167,7 @@ fn reconstruct_into(
         written
     });
     progress.clear();
-    let WrittenRun { metrics, map, folder, problems } = written?;
+    let WrittenRun { metrics, map, folder, not_placed, problems } = written?;
     job.poses.iter().for_each(|poses| poses.warn_if_none());
     let interrupted = interrupt::requested();
     let problems = if interrupted { problems } else { with_shortfall(&metrics, problems) };
@@ -177,7 +177,7 @@ fn reconstruct_into(
         Some(poses) if poses.is_standard_output() => print_status,
         _ => print,
     };
-    messages::print_summary(print, &metrics, &map, &folder, is_readout_estimated);
+    messages::print_summary(print, &metrics, (&map, &not_placed), &folder, is_readout_estimated);
     if interrupted && job.renders != RenderSelection::None {
         let folder = folder.display();
         print_status(&format!("interrupted before all renders: i2slam render {folder} makes them"));

@@ -14,7 +14,10 @@ use i2slam::{RunOutcome, Warning};
 use i2slam_eval::exposure::exposure_agreement;
 use i2slam_eval::trajectory::Alignment;
 use i2slam_result::report::Report;
-use i2slam_result::{Metrics, ResultError, RunInput, VIEWER_FILE, ViewerPage, save, save_metrics};
+use i2slam_result::{
+    FrameFiles, Metrics, ResultError, RunInput, VIEWER_FILE, ViewerPage, load_metrics, save,
+    save_metrics,
+};
 use i2slam_storage::OutputFolder;
 use std::path::{Path, PathBuf};
 
@@ -36,6 +39,8 @@ pub(super) struct WrittenRun {
     pub(super) map: String,
     /// Folder that was written.
     pub(super) folder: PathBuf,
+    /// Files of the frames without a pose.
+    pub(super) not_placed: Vec<String>,
     pub(super) problems: Vec<String>,
 }
 
@@ -60,7 +65,8 @@ impl FinishedRun<'_> {
         };
         // From here on what is written survives the process.
         folder.keep();
-        save(folder, reconstruction).into_iter().for_each(|error| note(Err(error)));
+        let files = FrameFiles::of(self.sequence, &self.job.dataset);
+        save(folder, reconstruction, &files).into_iter().for_each(|error| note(Err(error)));
         note(RunInput::new(&self.job.dataset, &self.open_options()).save(folder));
         let mut measurements = Measurements::new(&self.outcome, self.sequence, self.truth);
         measurements
@@ -96,6 +102,7 @@ impl FinishedRun<'_> {
             ground_truth: &measurements.truth_in_world,
             true_exposure: &self.truth.exposures(),
             comparisons: &rendered.comparisons,
+            files: &files,
             viewer: page.map(|page| page.len()),
         };
         note(report.save(folder));
@@ -112,7 +119,8 @@ impl FinishedRun<'_> {
         let map = reconstruction.map.to_string();
         let metrics = measurements.metrics;
         let folder = place(&mut self.folder, &metrics, &mut problems, progress);
-        Ok(WrittenRun { metrics, map, folder, problems })
+        let not_placed = files.without_pose(&reconstruction.frames);
+        Ok(WrittenRun { metrics, map, folder, not_placed, problems })
     }
 }
 
@@ -177,6 +185,7 @@ impl Measurements {
         let mut metrics = Metrics::of(reconstruction);
         metrics.complete = outcome.complete;
         metrics.degrade(outcome.shortfalls.clone());
+        metrics.unordered = outcome.is_unordered;
         metrics.skipped = outcome.frames_skipped;
         metrics.frames_given = outcome.frames_given;
         metrics.seconds = outcome.seconds;
@@ -265,17 +274,13 @@ fn peak_memory() -> Option<u64> {
 /// frames, or whose `metrics.json` cannot be read.
 fn has_better_result(folder: &OutputFolder, tracked: usize) -> bool {
     folder.has_earlier_result()
-        && saved_metrics(folder.path())
+        && load_metrics(folder.path())
             .is_none_or(|earlier| is_sound(&earlier) || earlier.tracked > tracked)
 }
 
 /// Whether a result is complete and what was asked for.
 fn is_sound(metrics: &Metrics) -> bool {
     metrics.complete && !metrics.degraded
-}
-
-fn saved_metrics(folder: &Path) -> Option<Metrics> {
-    serde_json::from_str(&i2slam_storage::read_text(&folder.join("metrics.json")).ok()?).ok()
 }
 
 #[cfg(test)]

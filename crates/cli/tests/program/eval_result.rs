@@ -225,7 +225,7 @@ fn the_truth_is_on_record_and_another_one_is_pointed_out() {
         assert_ne!(source(0)[truth]["crc32"], source(1)[truth]["crc32"]);
     }
     let page = room.text("report.html");
-    assert!(page.contains("4 true poses of") && page.contains("4 true pictures of"));
+    assert!(page.contains("4 true poses of") && page.contains("4 taken pictures of"));
 }
 
 /// Names of Linux are bytes; `input.json` and `evaluation.json` hold them all.

@@ -33,6 +33,9 @@ fn every_file_of_the_result_folder_is_written() {
             assert!(room.has(&file), "{file}");
         }
     }
+    let table = room.text("frames.csv");
+    let last = table.lines().last().and_then(|row| row.rsplit(',').next()).expect("a file");
+    assert!(room.data.join(last).is_file() && last.contains('/'), "{last}");
     let config = room.text("config.toml");
     for part in ["i2slam_version", "seed = ", "preset = \"default\"", "final_iterations = 3"] {
         assert!(config.contains(part), "{part} is not in\n{config}");

@@ -66,7 +66,7 @@ pub(super) fn list(
         None => FilePairs::colour_only(colour),
     };
     let listing = with_warning(pairs.list_by_index(Layout::Plain, frame_rate), unread);
-    Ok(Listing { ground_truth: ground_truth(folder), ..listing })
+    Ok(Listing { ground_truth: ground_truth(folder), are_times_assumed: true, ..listing })
 }
 
 fn with_warning(mut listing: Listing, warning: Option<String>) -> Listing {

@@ -92,6 +92,8 @@ pub(crate) struct Listing {
     pub(crate) dropped: DroppedFrames,
     /// Whether frames too close in time are dropped.
     pub(crate) is_thinned: bool,
+    /// Whether no time stamps are there, so that frames count as equally far apart.
+    pub(crate) are_times_assumed: bool,
     /// Ground-truth file of the folder, not yet read.
     pub(crate) ground_truth: Option<PathBuf>,
     /// True poses that came with the frames.
@@ -110,6 +112,7 @@ impl Listing {
             entries,
             dropped: DroppedFrames::default(),
             is_thinned: false,
+            are_times_assumed: false,
             ground_truth: None,
             poses: Vec::new(),
             depth_encoding: DepthEncoding::Png,

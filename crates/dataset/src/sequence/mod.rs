@@ -48,6 +48,9 @@ pub struct Sequence {
     pub camera: Camera<f64>,
     /// Median frames a second of the associated stream (not divided by the stride).
     pub frame_rate: f64,
+    /// Whether neither time stamps nor a frame rate were recorded, so that frames count as
+    /// [`DEFAULT_FRAME_RATE`] a second.
+    pub are_times_assumed: bool,
     /// Depth image value of one metre.
     pub depth_scale: f64,
     /// The chosen frames, in order of time.
@@ -116,8 +119,10 @@ impl Sequence {
         let folder = if path.is_dir() { path } else { path.parent().unwrap_or(path) };
         let calibration = find_calibration(folder, layout, options);
         let assumed_rate = calibration.as_ref().ok().and_then(|c| c.format.frame_rate);
+        let is_rate_given = assumed_rate.is_some();
         let assumed_rate = assumed_rate.unwrap_or(DEFAULT_FRAME_RATE);
-        let listing = layout.list(path, options, assumed_rate)?;
+        let mut listing = layout.list(path, options, assumed_rate)?;
+        listing.are_times_assumed &= !is_rate_given;
         Self::from_listing(name_of(path), listing, calibration?, options, assumed_rate)
     }
 
@@ -195,6 +200,7 @@ impl Sequence {
             lens,
             loader: Arc::new(loader),
             is_thinned: listing.is_thinned,
+            are_times_assumed: listing.are_times_assumed,
         })
     }
 

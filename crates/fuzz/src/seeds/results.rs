@@ -7,7 +7,7 @@ use i2slam::radiance::hashgrid::{
 };
 use i2slam::{Map, RunOptions, reconstruct};
 use i2slam_check::TemporaryFolder;
-use i2slam_result::{Metrics, NAMES, RunInput, save, save_metrics};
+use i2slam_result::{FrameFiles, Metrics, NAMES, RunInput, save, save_metrics};
 use i2slam_storage::{Claim, OutputFolder};
 use i2slam_synthetic::{Spec, synthesise};
 use std::path::Path;
@@ -29,7 +29,7 @@ pub(super) fn seeds() -> Result<Vec<NamedSeed>, String> {
         let mut folder = OutputFolder::replace(folder, claim).map_err(|e| e.to_string())?;
         // The path is not that of the machine that makes the seeds.
         let input = RunInput { dataset: "/data/room".into(), options: options.open.clone() };
-        let mut errors = save(&folder, reconstruction);
+        let mut errors = save(&folder, reconstruction, &FrameFiles::default());
         errors.extend(input.save(&folder).err());
         errors.extend(save_metrics(&folder, &Metrics::of(reconstruction)).err());
         if let Some(error) = errors.first() {

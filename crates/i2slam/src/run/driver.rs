@@ -146,7 +146,8 @@ pub(super) fn run<'a>(
     // Where the frames between keyframes are localised, too, their tracking tells.
     let is_path =
         input.estimate.is_some() && options.config.tracking.method == TrackingMethod::Adam;
-    let few_poses = is_path.then(|| shortfall::of_path(input.path.len(), input.frames_given));
+    let given = (input.frames_given, input.is_unordered);
+    let few_poses = is_path.then(|| shortfall::of_path(input.path.len(), given));
     let none_usable = input.none_usable();
     let items = std::mem::replace(&mut input.items, Box::new(std::iter::empty()));
     let (held_out, skipped, first_error, latest) = (VecDeque::new(), 0, None, None);
@@ -203,6 +204,7 @@ pub(super) fn run<'a>(
     Ok(RunOutcome {
         reconstruction,
         frames_given: input.frames_given,
+        is_unordered: input.is_unordered,
         frames_skipped: skipped,
         seconds: started.elapsed().as_secs_f64(),
         complete,

@@ -22,7 +22,9 @@ use i2slam_dataset::{DepthPicture, Frame, Sequence};
 use i2slam_geometry::{Pose, StampedPose};
 use i2slam_odometry::{FrameUpdate, FrontEnd, PoseDeviation};
 use std::collections::BTreeMap;
+use std::ops::RangeInclusive;
 use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 
 /// Longer side of the pictures for visual odometry, where they were recorded so large [px]:
@@ -155,7 +157,9 @@ fn find_path(
     context: &RunContext,
 ) -> Result<FoundPath, RunError> {
     let large = sequence.at_least(ODOMETRY_SIDE);
-    let progress = odometry_progress(context, Some(Forecaster::new(&options.config, sequence)));
+    let is_unordered = Arc::new(AtomicBool::new(false));
+    let forecaster = Forecaster::new(&options.config, sequence);
+    let progress = odometry_progress(context, Some((forecaster, Arc::clone(&is_unordered))));
     let count = large.len();
     let tracked = if let Some(tracked) = tracked {
         let keyframes = tracked.given.keyframes;
@@ -166,6 +170,7 @@ fn find_path(
         let mut preview =
             MapPreview::start((sequence, sequence.frames_with_depth() > 0), options, context);
         let on_tracked = |front_end: &FrontEnd, update: &FrameUpdate, tracked: &Frame| {
+            is_unordered.store(front_end.is_unordered(), Ordering::Relaxed);
             stamped_pose(update, tracked).iter().for_each(|pose| context.observer.pose(pose));
             if let Some(preview) = &mut preview {
                 preview.add_from_file(front_end, update, tracked);
@@ -199,15 +204,25 @@ pub(super) fn intrinsics(sequence: &Sequence, estimate_distortion: bool) -> Intr
     }
 }
 
-/// Passes the progress of visual odometry on, and a forecast as soon as there is one.
-fn odometry_progress(context: &RunContext, forecaster: Option<Forecaster>) -> OdometryProgress {
+/// Passes the progress of visual odometry on, and a forecast as soon as there is one, from a forecaster and
+/// whether the pictures so far are photographs.
+fn odometry_progress(
+    context: &RunContext,
+    forecaster: Option<(Forecaster, Arc<AtomicBool>)>,
+) -> OdometryProgress {
     let observer: Arc<dyn Observer> = Arc::clone(&context.observer);
     let forecaster = Mutex::new(forecaster);
     OdometryProgress::new(context.cancellation.clone(), move |stage, done, of| {
         observer.progress(Stage::Odometry(stage), done, of);
-        let keyframes::Stage::Tracking { keyframes } = stage else { return };
         let Ok(mut forecaster) = forecaster.lock() else { return };
-        let forecast = forecaster.as_mut().and_then(|f| f.after(done, keyframes, 0));
+        let Some((forecaster, is_unordered)) = forecaster.as_mut() else { return };
+        let forecast = match stage {
+            keyframes::Stage::Tracking { keyframes } if !is_unordered.load(Ordering::Relaxed) => {
+                forecaster.after(done, keyframes, 0)
+            }
+            keyframes::Stage::Matching => forecaster.after_pairs(done, of),
+            _ => None,
+        };
         forecast.iter().for_each(|forecast| observer.forecast(forecast));
     })
 }
@@ -228,12 +243,31 @@ where
             (first, last),
             format!("{warning} (frames {first}..{} can be reconstructed apart)", last + 1),
         ),
+        OdometryWarning::PhotographsNotPlaced { frames: [first, last] } => Warning::of_frames(
+            (first, last),
+            format!("{warning}: {}", file_names(sequence, first..=last)),
+        ),
         _ => match warning.frames() {
             Some([first, last]) => Warning::of_frames((first, last), warning.to_string()),
             None => warning.to_string().into(),
         },
     });
     found.refused().iter().map(left_out).chain(warnings).collect()
+}
+
+/// Files named in a warning.
+const MAX_NAMED_FILES: usize = 8;
+
+/// Names of the files of frames by number.
+fn file_names(sequence: &Sequence, frames: RangeInclusive<usize>) -> String {
+    let entries = sequence.entries.iter().filter(|entry| frames.contains(&entry.index));
+    let names = entries.filter_map(|entry| Some(entry.colour.file_name()?.to_string_lossy()));
+    let names: Vec<_> = names.collect();
+    let named = names.iter().take(MAX_NAMED_FILES).cloned().collect::<Vec<_>>().join(", ");
+    match names.len().saturating_sub(MAX_NAMED_FILES) {
+        0 => named,
+        more => format!("{named} and {more} more"),
+    }
 }
 
 /// The picture at a place of a sequence.

@@ -234,6 +234,8 @@ pub struct RunOutcome {
     pub reconstruction: Reconstruction,
     /// Frames of the sequence, those without a pose included.
     pub frames_given: usize,
+    /// True if the frames are photographs in any order, whose time stamps tell nothing.
+    pub is_unordered: bool,
     /// Frames or keyframes that could not be used.
     pub frames_skipped: usize,
     /// Wall time from the first frame to the finished map [s].
@@ -243,13 +245,13 @@ pub struct RunOutcome {
     /// The error that ended the run early; `None` if it was cancelled.
     pub problem: Option<RunError>,
     /// Why the result is not what was asked for, a sentence each; empty if it is: less than a tenth
-    /// of the frames was tracked, the map is empty, no frame was held out, no readout was found.
+    /// of the frames or half of the photographs was tracked, the map is empty, no frame was held out, no readout was found.
     pub shortfalls: Vec<String>,
     /// Camera as estimated from the pictures; only by colour alone.
     pub camera: Option<CameraEstimate>,
     /// The sequence as it was used, if an estimated lens distortion was removed from it.
     pub undistorted: Option<Sequence>,
-    /// All warnings, in order, with the time stamps of their frames.
+    /// All warnings, in order, with the time stamps of their frames unless these are photographs.
     pub warnings: Vec<Warning>,
 }
 
@@ -340,6 +342,9 @@ fn reconstruct_tracked(
     };
     let mut outcome = driver::run(sequence, options, &context, open)?;
     let stamp = |index: usize| {
+        if outcome.is_unordered {
+            return None;
+        }
         let place = sequence.entries.binary_search_by_key(&index, |entry| entry.index).ok()?;
         Some(sequence.entries[place].timestamp)
     };

@@ -8,6 +8,9 @@ use crate::reconstruction::FrameEstimate;
 /// of what was filmed.
 const TRACKED_ONE_IN: usize = 10;
 
+/// As [`TRACKED_ONE_IN`] of photographs, each of which was taken on purpose.
+const PHOTOGRAPHS_ONE_IN: usize = 2;
+
 /// A sentence if too few frames were tracked, and one if the map is empty.
 pub(super) fn of_result(outcome: &RunOutcome, options: &RunOptions) -> Vec<String> {
     let frames = &outcome.reconstruction.frames;
@@ -25,6 +28,7 @@ pub(super) fn of_result(outcome: &RunOutcome, options: &RunOptions) -> Vec<Strin
 fn too_few_tracked(outcome: &RunOutcome, given: usize) -> Option<String> {
     let frames = &outcome.reconstruction.frames;
     let tracked = frames.iter().filter(|f| f.tracked).count();
+    let given = (given, outcome.is_unordered);
     if !is_too_few(tracked, given) {
         return None;
     }
@@ -38,11 +42,13 @@ fn too_few_tracked(outcome: &RunOutcome, given: usize) -> Option<String> {
         }
         None => String::new(),
     };
-    Some(format!("{} tracked{cause}", of_frames(tracked, given)))
+    let found = if outcome.is_unordered { "placed" } else { "tracked" };
+    Some(format!("{} {found}{cause}", of_frames(tracked, given)))
 }
 
-/// A sentence if visual odometry found poses of too few frames.
-pub(super) fn of_path(posed: usize, given: usize) -> Option<String> {
+/// A sentence if visual odometry found poses of too few of the frames that were `given`: their number, and
+/// true if they are photographs.
+pub(super) fn of_path(posed: usize, given: (usize, bool)) -> Option<String> {
     let few = is_too_few(posed, given);
     few.then(|| format!("{} given a pose by visual odometry", of_frames(posed, given)))
 }
@@ -74,13 +80,15 @@ pub(super) fn of_readout(is_missing: bool) -> Option<String> {
     })
 }
 
-fn is_too_few(found: usize, given: usize) -> bool {
-    found * TRACKED_ONE_IN < given
+fn is_too_few(found: usize, (given, is_unordered): (usize, bool)) -> bool {
+    let one_in = if is_unordered { PHOTOGRAPHS_ONE_IN } else { TRACKED_ONE_IN };
+    found * one_in < given
 }
 
-fn of_frames(found: usize, given: usize) -> String {
-    let frames = if given == 1 { "frame was" } else { "frames were" };
-    format!("{found} of {given} {frames}")
+fn of_frames(found: usize, (given, is_unordered): (usize, bool)) -> String {
+    let noun = if is_unordered { "photograph" } else { "frame" };
+    let verb = if given == 1 { " was" } else { "s were" };
+    format!("{found} of {given} {noun}{verb}")
 }
 
 #[cfg(test)]
@@ -112,6 +120,7 @@ mod tests {
                 rolling_shutter_readout: 0.0,
             },
             frames_given: tracked + lost,
+            is_unordered: false,
             frames_skipped: 0,
             seconds: 0.0,
             complete: true,
@@ -142,15 +151,25 @@ mod tests {
     }
 
     #[test]
+    fn half_of_the_photographs_have_to_be_tracked() {
+        let photographs =
+            |tracked, lost| RunOutcome { is_unordered: true, ..outcome(tracked, lost) };
+        let options = RunOptions::with_depth();
+        assert_eq!(of_result(&photographs(3, 3), &options).len(), 1);
+        let few = "2 of 6 photographs were placed: frame 2: it has no depth";
+        assert_eq!(of_result(&photographs(2, 4), &options)[0], few);
+    }
+
+    #[test]
     fn first_order_tracking_of_a_video_is_measured_by_its_keyframes() {
         let keyframes = || RunOutcome { frames_given: 90, ..outcome(8, 0) };
         let mut options = RunOptions::colour_alone();
         assert_eq!(of_result(&keyframes(), &options).len(), 2);
         options.config.tracking.method = TrackingMethod::Adam;
         assert_eq!(of_result(&keyframes(), &options).len(), 1);
-        assert!(of_path(9, 90).is_none());
+        assert!(of_path(9, (90, false)).is_none());
         let words = "8 of 90 frames were given a pose by visual odometry";
-        assert_eq!(of_path(8, 90).as_deref(), Some(words));
+        assert_eq!(of_path(8, (90, false)).as_deref(), Some(words));
     }
 
     #[test]

@@ -13,8 +13,11 @@ use std::time::Instant;
 const TIMED_STEPS: usize = 6;
 /// Factor by which each side of the picture is reduced to time dense depth.
 const REDUCTION: usize = 4;
-/// Keyframes in the timed dense depth: one and those that it is matched with.
-const VIEWS: usize = 6;
+/// Shorter side of photographs below which dense depth is not timed [px]: it has too few levels there to be
+/// extrapolated.
+const MIN_PHOTOGRAPH_SIDE: usize = 60;
+/// Keyframes in the timed dense depth, of a film and of photographs: one and those that it is matched with.
+const VIEWS: [usize; 2] = [6, 9];
 /// Time of a step on Gaussians over that of a timed one, when a keyframe is added and at the end: a room
 /// seen from many sides covers itself more than the timed wall, is blurred, and in the end has colours
 /// that depend on direction. Measured 1.1 to 1.9 and 2 to 4 on dining-room (with and without half the
@@ -38,12 +41,13 @@ pub struct RuntimeEstimate {
 
 impl RuntimeEstimate {
     /// Times a short session on copies of one picture at the depth of a room; larger scenes need
-    /// finer fields and more time. `None` if the settings give no map.
+    /// finer fields and more time. Depth is that of photographs if `is_unordered`. `None` if the settings
+    /// give no map.
     pub fn measure(
         config: &Config,
         camera: &Camera<f64>,
         frame_rate: f64,
-        colour: &Arc<Image<f32>>,
+        (colour, is_unordered): (&Arc<Image<f32>>, bool),
     ) -> Option<Self> {
         let mut session = Session::refining(few_steps(config), *camera, frame_rate);
         session.add_keyframe(test_keyframe(camera, colour, 0)).ok()?;
@@ -61,7 +65,7 @@ impl RuntimeEstimate {
         session.localize(test_keyframe(camera, colour, 1)).ok()?;
         let frame = clock.elapsed().as_secs_f64();
         let keyframe = (second_keyframe - TIMED_STEPS as f64 * step).max(frame);
-        Some(Self { dense_depth: dense_depth(camera, colour), keyframe, step, frame })
+        Some(Self { dense_depth: dense_depth(camera, colour, is_unordered), keyframe, step, frame })
     }
 
     /// Time of mapping `frames` frames whose poses are known, of which `keyframes` are keyframes [s].
@@ -140,8 +144,13 @@ fn test_keyframe(camera: &Camera<f64>, colour: &Arc<Image<f32>>, index: usize) -
 }
 
 /// Time of the dense depth of one keyframe [s].
-fn dense_depth(camera: &Camera<f64>, colour: &Image<f32>) -> f64 {
-    let (width, height) = (camera.width / REDUCTION, camera.height / REDUCTION);
+fn dense_depth(camera: &Camera<f64>, colour: &Image<f32>, is_unordered: bool) -> f64 {
+    let shorter = camera.width.min(camera.height);
+    let reduction = match is_unordered {
+        true => (shorter / MIN_PHOTOGRAPH_SIDE).clamp(1, REDUCTION),
+        false => REDUCTION,
+    };
+    let (width, height) = (camera.width / reduction, camera.height / reduction);
     if width.min(height) < 16 {
         return 0.0;
     }
@@ -150,11 +159,13 @@ fn dense_depth(camera: &Camera<f64>, colour: &Image<f32>) -> f64 {
         world_from_camera: Pose::new(Rotation::identity(), Vec3::new(0.05 * i as f64, 0.0, 0.0)),
         landmarks: vec![1.0, 2.0, 4.0],
     };
-    let views = (0..VIEWS).map(view).collect();
-    let mut depths = DenseDepthEstimator::new(camera.resized(width, height), views);
+    let count = VIEWS[usize::from(is_unordered)];
+    let views = (0..count).map(view).collect();
+    let depths = DenseDepthEstimator::new(camera.resized(width, height), views);
+    let mut depths = if is_unordered { depths.with_any_order() } else { depths };
     let clock = Instant::now();
     depths.estimate(0, &mut |_| Some(KeyframePictures::colour_only(Arc::clone(&small))));
-    clock.elapsed().as_secs_f64() * (REDUCTION * REDUCTION) as f64 / VIEWS as f64
+    clock.elapsed().as_secs_f64() * (reduction * reduction) as f64 / count as f64
 }
 
 #[cfg(test)]
@@ -175,7 +186,7 @@ mod tests {
         let picture = frame(0, Pose::identity()).colour;
         for config in [config, gaussians] {
             let estimate =
-                RuntimeEstimate::measure(&config, &CAMERA, 30.0, &picture).expect("a map");
+                RuntimeEstimate::measure(&config, &CAMERA, 30.0, (&picture, false)).expect("a map");
             let all = [estimate.keyframe, estimate.step, estimate.frame];
             assert!(all.iter().all(|s| *s > 0.0), "{estimate:?}");
         }

@@ -7,7 +7,7 @@ use super::axes::Axes;
 use super::error::ExportError;
 use super::scene::Scene;
 use super::seed_points::SeedPoints;
-use super::views::{MASKS, PICTURES, picture_name, write_views};
+use super::views::{MASKS, PICTURES, write_views};
 use super::watch::Watch;
 use i2slam::geometry::{Camera, Pose};
 use i2slam_storage::OutputFolder;
@@ -69,7 +69,7 @@ impl Model {
         let images = scene.frames.iter().zip(seeds.observations);
         let images = images.map(|(frame, observations)| ModelImage {
             camera_from_world: scene.pose(frame, Axes::YDown).inverse(),
-            name: picture_name(scene, frame),
+            name: scene.picture_name(frame),
             observations: observations
                 .into_iter()
                 .map(|o| (o.at.0, o.at.1, o.point as u64 + 1))

@@ -6,7 +6,7 @@ use super::axes::Axes;
 use super::error::ExportError;
 use super::scene::Scene;
 use super::seed_points::SeedPoint;
-use super::views::{MASKS, PICTURES, picture_name, write_views};
+use super::views::{MASKS, PICTURES, write_views};
 use super::watch::Watch;
 use i2slam::geometry::{Camera, Pose, Rotation};
 use i2slam_storage::OutputFolder;
@@ -36,7 +36,7 @@ pub fn write(
         .frames
         .iter()
         .map(|frame| {
-            let name = picture_name(scene, frame);
+            let name = scene.picture_name(frame);
             json!({
                 "file_path": format!("{PICTURES}/{name}"),
                 "mask_path": format!("{MASKS}/{}", mask_of(&name)),

@@ -6,10 +6,11 @@ use super::error::ExportError;
 use super::level::{Up, level};
 use super::seen::views;
 use super::splat::{Display, Splat, splats};
-use crate::UnitOfLength;
+use crate::{FrameFiles, UnitOfLength};
 use i2slam::geometry::{Pose, Rotation, Vec3};
 use i2slam::radiance::gaussian::GaussianMap;
 use i2slam::{FrameEstimate, Map, Reconstruction};
+use std::collections::BTreeMap;
 
 /// A box in the levelled world [m], from its least to its largest corner.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -56,6 +57,10 @@ pub struct Scene {
     level_from_world: Rotation<f64>,
     pub(crate) linear: bool,
     pub(crate) constant_exposure: bool,
+    /// Files of the pictures taken.
+    pub(crate) files: FrameFiles,
+    /// Names of pictures without ending, where these are not their numbers.
+    picture_stems: Option<BTreeMap<usize, String>>,
 }
 
 impl Scene {
@@ -105,12 +110,36 @@ impl Scene {
             }
         }
         let Selection { linear, constant_exposure, .. } = *selection;
-        Ok(Self { reconstruction, frames, level_from_world, linear, constant_exposure })
+        Ok(Self {
+            reconstruction,
+            frames,
+            level_from_world,
+            linear,
+            constant_exposure,
+            files: FrameFiles::default(),
+            picture_stems: None,
+        })
+    }
+
+    /// Names the files of the pictures taken; pictures of photographs (`is_unordered`) are named after them,
+    /// where they can be.
+    #[must_use]
+    pub fn with_files(self, files: FrameFiles, is_unordered: bool) -> Self {
+        let picture_stems = is_unordered.then(|| files.stems(&self.frames)).flatten();
+        Self { files, picture_stems, ..self }
     }
 
     /// Frames that have a pose.
     pub fn frames(&self) -> usize {
         self.frames.len()
+    }
+
+    /// Name of a frame's picture.
+    pub(crate) fn picture_name(&self, frame: &FrameEstimate) -> String {
+        let stem = self.picture_stems.as_ref().and_then(|stems| stems.get(&frame.index));
+        let number = || format!("{:06}", frame.index);
+        let extension = if self.linear { "exr" } else { "png" };
+        format!("{}.{extension}", stem.cloned().unwrap_or_else(number))
     }
 
     /// Number of Gaussians that were chosen; 0 of a hash grid.

@@ -2,11 +2,12 @@
 
 use super::axes::Axes;
 use super::scene::Scene;
+use crate::frame_files::FILE_COLUMN;
 use crate::tables::trajectory;
 use i2slam::geometry::StampedPose;
 use std::fmt::Write;
 
-/// First line of the table of [`csv`].
+/// Beginning of the first line of the table of [`csv`], behind which `file` stands.
 pub const CSV_COLUMNS: &str = "index,timestamp,tx,ty,tz,qx,qy,qz,qw,exposure,white_balance_r,\
                                white_balance_g,white_balance_b,blur_length_px,keyframe,held_out";
 
@@ -26,9 +27,10 @@ pub fn tum(scene: &Scene, mark: &str) -> String {
 }
 
 /// One row per frame: position in the stream, time [s], pose at mid-exposure (world from camera),
-/// exposure relative to the first frame, gains of white balance, blur length [px], and flags.
+/// exposure relative to the first frame, gains of white balance, blur length [px], flags, and file of the
+/// picture taken.
 pub fn csv(scene: &Scene) -> String {
-    let mut text = format!("{CSV_COLUMNS}\n");
+    let mut text = format!("{CSV_COLUMNS},{FILE_COLUMN}\n");
     for frame in &scene.frames {
         let pose = scene.pose(frame, Axes::YDown);
         let (t, q) = (pose.translation, pose.rotation);
@@ -39,8 +41,8 @@ pub fn csv(scene: &Scene) -> String {
         writeln!(
             text,
             "{place},{time},{:.9},{:.9},{:.9},{:.9},{:.9},{:.9},{:.9},{exposure},{red},{green},{blue},\
-             {blur:.3},{keyframe},{held_out}",
-            t.x, t.y, t.z, q.v.x, q.v.y, q.v.z, q.w
+             {blur:.3},{keyframe},{held_out},{}",
+            t.x, t.y, t.z, q.v.x, q.v.y, q.v.z, q.w, scene.files.cell(place)
         )
         .ok();
     }

@@ -5,7 +5,6 @@ use super::scene::Scene;
 use super::seed_points::{SeedPoints, View};
 use super::watch::Watch;
 use crate::pictures::{write_mask, write_picture, write_radiance};
-use i2slam::FrameEstimate;
 use i2slam::geometry::Image;
 use i2slam_storage::OutputFolder;
 
@@ -16,11 +15,6 @@ pub(crate) const MASKS: &str = "masks";
 
 /// Least opacity of a pixel that counts as seen.
 const SEEN: f32 = 0.5;
-
-/// Name of a frame's picture in [`PICTURES`].
-pub(crate) fn picture_name(scene: &Scene, frame: &FrameEstimate) -> String {
-    format!("{:06}.{}", frame.index, if scene.linear { "exr" } else { "png" })
-}
 
 /// Writes the pictures of all frames, all with the exposure, white balance and response that are
 /// typical of the run (or linear radiance), and masks: 255 where the map is opaque, 0 where nothing
@@ -40,7 +34,7 @@ pub(crate) fn write_views(
         let picture = viewer.sharp(&reconstruction.virtual_frame(frame.index, pose));
         let (depth, opacity) = (viewer.depth(pose), viewer.opacity(pose));
         points.add(&View { pose, picture: &picture, depth: &depth, opacity: &opacity });
-        let name = picture_name(scene, frame);
+        let name = scene.picture_name(frame);
         let file = format!("{PICTURES}/{name}");
         match scene.linear {
             true => folder.write(&file, |out| write_radiance(out, &viewer.hdr(pose)))?,

@@ -36,6 +36,9 @@ pub struct EvaluationSource {
     pub trajectory: Option<GroundTruthSource>,
     /// The true pictures.
     pub pictures: Option<GroundTruthSource>,
+    /// True if these are the pictures taken, as no sharp ones are known.
+    #[serde(default)]
+    pub against_pictures_taken: bool,
 }
 
 /// Ground truth of trajectory or pictures.
@@ -58,7 +61,7 @@ pub fn insert_evaluations(page: &str, sections: &[EvaluationSection]) -> Option<
     let mut out = String::new();
     if !sections.is_empty() {
         out += "<section id=\"evaluation\">\n<h2>Evaluation</h2>\n<p>Compared by \
-                <code>i2slam eval</code> with the truth that each section names. Figures of \
+                <code>i2slam eval</code> with what each section names. Figures of \
                 two protocols are of different frames, by \
                 different measures: they must not stand in one column. They lie \
                 beside this page in <code>evaluation.json</code>.</p>\n<div class=\"plots\">";
@@ -93,7 +96,8 @@ fn write_source(out: &mut String, source: &EvaluationSource) {
         format!("{} {what}{s} of <code>{path}</code>", truth.count)
     };
     let trajectory = source.trajectory.iter().map(|truth| line(truth, "true pose"));
-    let pictures = source.pictures.iter().map(|truth| line(truth, "true picture"));
+    let picture = if source.against_pictures_taken { "taken picture" } else { "true picture" };
+    let pictures = source.pictures.iter().map(|truth| line(truth, picture));
     let truths: Vec<String> = trajectory.chain(pictures).collect();
     if !truths.is_empty() {
         write!(out, "<p>Against {}.</p>", truths.join(" and ")).ok();
@@ -138,6 +142,15 @@ mod tests {
         let page = insert_evaluations(super::super::TEMPLATE, std::slice::from_ref(&section))
             .expect("a place");
         assert!(page.contains("Against 1 true pose of <code>/data/&lt;room&gt;</code>."));
+        let truth = GroundTruthSource { path: "/x".into(), count: 2, crc32: "0".to_owned() };
+        let source = EvaluationSource {
+            pictures: Some(truth),
+            against_pictures_taken: true,
+            ..EvaluationSource::default()
+        };
+        let taken = EvaluationSection { source: Some(source), ..section.clone() };
+        let page = insert_evaluations(super::super::TEMPLATE, &[taken]).expect("a place");
+        assert!(page.contains("Against 2 taken pictures of <code>/x</code>."));
         let text = serde_json::to_string(&section).expect("JSON");
         assert_eq!(serde_json::from_str::<EvaluationSection>(&text).ok(), Some(section));
         let older = "{\"title\":\"x\",\"notes\":[],\"rows\":[]}";

@@ -2,7 +2,7 @@
 
 use super::Report;
 use super::headline::significant;
-use crate::html::data_address;
+use crate::html::{data_address, escape};
 use crate::{UnitOfLength, VIEWER_FILE};
 use i2slam::FrameEstimate;
 use i2slam::geometry::Image;
@@ -38,14 +38,15 @@ pub(super) fn gallery(report: &Report<'_>) -> String {
         let shown = Some(comparison.index) == first;
         // Writing to a string cannot fail.
         let unit = UnitOfLength::of(&report.reconstruction.config);
-        write_pair(&mut out, (comparison, estimate(comparison)), shown, unit).ok();
+        let file = report.files.get(comparison.index);
+        write_pair(&mut out, (comparison, estimate(comparison), file), shown, unit).ok();
     }
     out
 }
 
 fn write_pair(
     out: &mut String,
-    (comparison, estimate): (&Comparison, Option<&FrameEstimate>),
+    (comparison, estimate, file): (&Comparison, Option<&FrameEstimate>, Option<&str>),
     shown: bool,
     unit: UnitOfLength,
 ) -> std::fmt::Result {
@@ -71,6 +72,9 @@ fn write_pair(
          aria-label=\"share of the input picture\"></div>"
     )?;
     write!(out, "<figcaption>Frame {index}")?;
+    if let Some(file) = file {
+        write!(out, ", {}", escape(file))?;
+    }
     if let Some(frame) = estimate {
         let exposure = significant(f64::from(frame.tone.exposure()));
         let blur = frame.blur_length;

@@ -16,20 +16,30 @@ pub(super) fn lead(report: &Report<'_>) -> String {
              are given in metres below, read: in that unit."
         }
     };
-    let given = given(metrics);
-    let part = match metrics.frames < given {
-        true => format!("{} of {given}", metrics.frames),
-        false => given.to_string(),
-    };
     format!(
-        "{}{part} blurred frame{} of <b>{}</b> became one sharp map of light and a camera path. \
-         Preset <code>{}</code>, seed {}.{end}{unit}",
+        "{}{} Preset <code>{}</code>, seed {}.{end}{unit}",
         degradation(metrics),
-        if given == 1 { "" } else { "s" },
-        escape(report.title),
+        summary(metrics, &escape(report.title)),
         escape(&metrics.preset),
         metrics.seed,
     )
+}
+
+/// A sentence on the frames of a sequence that became the map.
+fn summary(metrics: &Metrics, title: &str) -> String {
+    let given = given(metrics);
+    let noun = if metrics.unordered { "photograph" } else { "blurred frame" };
+    let nouns = format!("{noun}{}", if given == 1 { "" } else { "s" });
+    match metrics.tracked {
+        tracked if tracked < given => format!(
+            "A map of light and a camera path of {tracked} of {given} {nouns} of <b>{title}</b>; no pose was \
+             found of the other {}.",
+            given - tracked
+        ),
+        _ => format!(
+            "{given} {nouns} of <b>{title}</b> became one sharp map of light and a camera path."
+        ),
+    }
 }
 
 /// Why the result is degraded; empty if it is not.
@@ -69,7 +79,8 @@ pub(super) fn cards(metrics: &Metrics) -> String {
         .ok();
     };
     let of_all = format!("of {}", given(metrics));
-    card(metrics.tracked.to_string(), &of_all, "Frames tracked", "The camera's pose was found.");
+    let name = if metrics.unordered { "Photographs placed" } else { "Frames tracked" };
+    card(metrics.tracked.to_string(), &of_all, name, "The camera's pose was found.");
     if let Some(error) = metrics.ate_rmse_m {
         let meaning = match metrics.ate_scale_aligned {
             false => {

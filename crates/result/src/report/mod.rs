@@ -12,7 +12,7 @@ pub use evaluation::{EvaluationSection, EvaluationSource, GroundTruthSource, ins
 pub use gallery::Comparison;
 
 use crate::html::{STYLE, escape, fill};
-use crate::{Metrics, NoViewer, ResultError, VIEWER_FILE};
+use crate::{FrameFiles, Metrics, NoViewer, ResultError, VIEWER_FILE};
 use i2slam::geometry::StampedPose;
 use i2slam::{FrameEstimate, Reconstruction, Warning};
 use i2slam_storage::OutputFolder;
@@ -36,6 +36,8 @@ pub struct Report<'a> {
     pub true_exposure: &'a [(usize, f64)],
     /// Pictures to show.
     pub comparisons: &'a [Comparison],
+    /// Files of the pictures taken.
+    pub files: &'a FrameFiles,
     /// Size of the viewer page beside the report [bytes], or why there is none.
     pub viewer: Result<usize, NoViewer>,
 }
@@ -118,7 +120,10 @@ const FILES: [(&str, &str); 16] = [
     ("trajectory.txt", "Camera path, TUM format, world from camera, mid-exposure"),
     ("trajectory_online.txt", "Camera path as it was known when the frames came"),
     ("trajectory_shutter.txt", "Poses at shutter open and close"),
-    ("frames.csv", "Frame by frame: exposure, white balance, blur, losses, times, size of the map"),
+    (
+        "frames.csv",
+        "Frame by frame: exposure, white balance, blur, losses, times, size of the map, file",
+    ),
     ("camera_response.csv", "The response curve"),
     (VIEWER_FILE, "The map in 3D, for a browser"),
     ("map.ply", "The map for 3D Gaussian viewers such as SuperSplat"),

@@ -49,6 +49,7 @@ fn page(title: &str, frames: usize) -> String {
         ground_truth: &ground_truth,
         true_exposure: &true_exposure,
         comparisons: &comparisons,
+        files: &FrameFiles::default(),
         viewer: Ok(4_890_000),
     }
     .html(|name| name != "map.ply")
@@ -86,6 +87,7 @@ fn a_report_without_a_viewer_says_why() {
             ground_truth: &[],
             true_exposure: &[],
             comparisons: &[],
+            files: &FrameFiles::default(),
             viewer,
         };
         report.html(|_| exists)
@@ -133,6 +135,7 @@ fn a_degraded_result_says_so_first() {
             ground_truth: &[],
             true_exposure: &[],
             comparisons: &[],
+            files: &FrameFiles::default(),
             viewer: Err(NoViewer::Empty),
         };
         headline::lead(&report)

@@ -134,6 +134,7 @@ impl Evaluation {
             frames: pictures.map(PictureErrors::frames).unwrap_or_default(),
             trajectory: self.true_trajectory.clone(),
             pictures: self.true_pictures.clone(),
+            against_pictures_taken: self.is_against_recorded,
         }
     }
 }

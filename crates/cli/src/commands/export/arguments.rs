@@ -1,5 +1,6 @@
 //! Arguments of `i2slam export`.
 
+use super::format_parser::FormatParser;
 use crate::arguments::Machine;
 use crate::failure::Failure;
 use clap::{Args, ValueEnum};
@@ -12,7 +13,7 @@ pub(crate) struct Export {
     /// Result folder of a run
     pub(crate) result: PathBuf,
     /// Format of the export
-    #[arg(long, value_enum, value_name = "FORMAT")]
+    #[arg(long, value_name = "FORMAT", value_parser = FormatParser)]
     pub(crate) format: Format,
     /// The file to write, or the folder
     #[arg(short, long, value_name = "PATH")]
@@ -60,7 +61,7 @@ pub(crate) enum Format {
     Nerfstudio,
     /// Gaussians for splat viewers, one file
     Ply,
-    /// Gaussians in a quarter of the room or less, PlayCanvas' layout, one file .compressed.ply
+    /// Gaussians in a quarter of the bytes or less, PlayCanvas' layout, one file .compressed.ply
     CompressedPly,
     /// Gaussians as glTF (KHR_gaussian_splatting), one file
     Glb,

@@ -1,6 +1,7 @@
 //! `i2slam export`: a result in the format of another program.
 
 mod arguments;
+mod format_parser;
 mod page;
 mod place;
 
@@ -13,12 +14,12 @@ use crate::messages::{note_displaced, note_edited_trajectory, note_saved_parts};
 use crate::progress::Progress;
 use crate::result_folder::refuse_non_results;
 use arguments::{COLMAP, FolderFormat, Format, NERFSTUDIO};
-use i2slam_result::UnitOfLength;
 use i2slam_result::export::video::Video;
 use i2slam_result::export::{
     Axes, ExportError, MARK, Scene, Watch, colmap, compressed_ply, csv, glb, mesh, nerfstudio, ply,
     tum, video,
 };
+use i2slam_result::{FrameFiles, UnitOfLength, load_metrics};
 use i2slam_storage::{OutputFolder, write_file};
 use std::path::Path;
 
@@ -44,7 +45,9 @@ pub(crate) fn export(arguments: &Export) -> Result<(), Failure> {
     interrupt::listen_for("\nending the export, of which nothing is kept; once more ends at once");
     let reconstruction = i2slam_result::load(&arguments.result)?;
     note_edited_trajectory(&arguments.result, &reconstruction);
-    let scene = Scene::new(reconstruction, &selection)?;
+    let is_unordered = load_metrics(&arguments.result).is_some_and(|metrics| metrics.unordered);
+    let files = FrameFiles::load(&arguments.result)?;
+    let scene = Scene::new(reconstruction, &selection)?.with_files(files, is_unordered);
     let progress = Progress::new(scene.frames(), arguments.machine.quiet);
     let watch = Watch {
         progress: &|name, done, total| progress.step(name, done, total),

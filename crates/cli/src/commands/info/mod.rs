@@ -130,14 +130,9 @@ fn sequence_rows(sequence: &SequenceInfo) -> Vec<Row> {
         ("sequence", sequence.name.clone()),
         ("layout", sequence.layout.clone()),
         ("frames", frames(sequence)),
-        (
-            "times",
-            format!(
-                "{:.2} s from {:.3}, {:.2} frames a second",
-                times.duration_s, times.first_s, times.frames_per_second
-            ),
-        ),
-        ("gaps", gaps(times)),
+    ];
+    rows.extend(time_rows(times));
+    rows.extend([
         (
             "camera",
             format!(
@@ -146,7 +141,7 @@ fn sequence_rows(sequence: &SequenceInfo) -> Vec<Row> {
             ),
         ),
         ("camera from", camera_source(camera)),
-    ];
+    ]);
     if camera.recorded != [camera.width, camera.height] {
         let [width, height] = camera.recorded;
         rows.push(("recorded", format!("{width}x{height}")));
@@ -162,6 +157,21 @@ fn sequence_rows(sequence: &SequenceInfo) -> Vec<Row> {
         rows.push(("the paper uses", format!("--frames {first}..{end}")));
     }
     rows
+}
+
+fn time_rows(times: &TimeInfo) -> Vec<Row> {
+    let rate = times.frames_per_second;
+    if times.are_assumed {
+        let none = format!(
+            "none recorded: photographs in any order need none, frames of a film count as {rate:.0} a second"
+        );
+        return vec![("times", none)];
+    }
+    let (seconds, first) = (times.duration_s, times.first_s);
+    vec![
+        ("times", format!("{seconds:.2} s from {first:.3}, {rate:.2} frames a second")),
+        ("gaps", gaps(times)),
+    ]
 }
 
 fn camera_source(camera: &CameraInfo) -> String {

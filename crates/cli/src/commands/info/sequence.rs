@@ -38,6 +38,8 @@ pub(super) struct TimeInfo {
     pub(super) first_s: f64,
     pub(super) duration_s: f64,
     pub(super) frames_per_second: f64,
+    /// Whether none were recorded, so that these are counted at an assumed frame rate.
+    pub(super) are_assumed: bool,
     /// Gaps of at least 1.5 median gaps.
     pub(super) gaps: Vec<Gap>,
     /// Largest distance in time between colour and depth of a frame.
@@ -112,7 +114,14 @@ impl TimeInfo {
             _ => sequence.frame_rate,
         };
         let colour_to_depth_s = entries.iter().filter_map(depth_gap).fold(0.0, f64::max);
-        Self { first_s, duration_s, frames_per_second, gaps: gaps(&stamps), colour_to_depth_s }
+        Self {
+            first_s,
+            duration_s,
+            frames_per_second,
+            are_assumed: sequence.are_times_assumed,
+            gaps: gaps(&stamps),
+            colour_to_depth_s,
+        }
     }
 }
 
