@@ -28,7 +28,9 @@ use i2slam_compute::{SIGMA_PER_MEDIAN, median};
 pub const PARTNERS: usize = 3;
 
 /// Fewest residuals.
-const MIN_RESIDUALS: usize = 1000;
+const MIN_RESIDUALS: usize = 2000;
+/// Residuals of a point that may have errors in common: those of all channels and partners.
+const REPEATS: f64 = 3.0 * PARTNERS as f64;
 /// Steps of reweighted least squares.
 const STEPS: usize = 5;
 /// Scale of the weights, in robust deviations of the residuals.
@@ -104,11 +106,11 @@ pub fn squared_length(points: &[Vec<SurfacePoint>; 3]) -> Option<SquaredLength> 
         let sum = |column| products.iter().map(|p| without_times(p, column)).sum::<f64>();
         let slope = sum(LENGTH);
         let step = sum(RESIDUAL) / slope;
-        if !step.is_finite() {
+        if !(step.is_finite() && slope > 0.0) {
             return None;
         }
         found.ratio += step;
-        found.deviation = sigma * sum(INSTRUMENT).max(0.0).sqrt() / slope.abs();
+        found.deviation = sigma * (REPEATS * sum(INSTRUMENT)).max(0.0).sqrt() / slope;
         for (pair, products) in pairs.iter_mut().zip(&products) {
             let times = explaining_times(products, |row| row[RESIDUAL] - step * row[LENGTH]);
             for term in pair.iter_mut().flatten() {
@@ -138,6 +140,7 @@ fn terms(points: &[Vec<SurfacePoint>; 3]) -> Vec<PairTerms> {
             }
         }
     }
+    pairs.retain(|pair| pair.iter().any(|channel| !channel.is_empty()));
     pairs
 }
 
@@ -180,10 +183,13 @@ fn products_of_pair(channels: &PairTerms, scale: f64) -> Products {
 /// Errors of the times of both exposures that explain a column of the products best.
 fn explaining_times(products: &Products, column: impl Fn(&Term) -> f64) -> [f64; 2] {
     let [i, j] = TIMES;
-    let ridge = RIDGE * (products[i][i] + products[j][j]) + f64::MIN_POSITIVE;
+    let ridge = RIDGE * (products[i][i] + products[j][j]);
     let (a, b, c) = (products[i][i] + ridge, products[i][j], products[j][j] + ridge);
     let (first, second) = (column(&products[i]), column(&products[j]));
     let determinant = a * c - b * b;
+    if determinant <= 0.0 {
+        return [0.0; 2];
+    }
     [(c * first - b * second) / determinant, (a * second - b * first) / determinant]
 }
 
@@ -285,14 +291,17 @@ mod tests {
     #[test]
     fn an_instrument_needs_noise_of_its_own() {
         let [apart, same] =
-            [[1, 2, 3], [1, 1, 1]].map(|partners| found_length(3.0, 0.0, 0.1, partners));
+            [[1, 2, 3], [1, 1, 1]].map(|partners| found_length(3.0, 0.0, 0.16, partners));
         assert!((apart / 3.0 - 1.0).abs() < 0.1 && same > apart + 0.1, "{same} {apart}");
     }
 
     #[test]
-    fn pictures_without_a_third_tell_nothing() {
+    fn three_pictures_are_enough_and_two_tell_nothing() {
         let mut points = points([3.0, 0.0, 3.0], 0.04, [1, 2, 3]);
-        points.iter_mut().flatten().for_each(|point| (point[1], point[2]) = (None, None));
+        points.iter_mut().flatten().for_each(|point| point[2] = None);
+        let found = squared_length(&points).expect("texture");
+        assert!((found.ratio - 1.0).abs() < 0.1, "{found:?}");
+        points.iter_mut().flatten().for_each(|point| point[1] = None);
         assert_eq!(squared_length(&points), None);
     }
 

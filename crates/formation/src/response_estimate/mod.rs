@@ -29,7 +29,9 @@ mod log_response;
 #[cfg(test)]
 mod tests;
 
-pub use blur_power::{BlurPair, BlurredPixel, MOMENTS, PowerEstimate, estimate_power};
+pub use blur_power::{
+    BlurredPicture, BlurredPixel, MOMENTS, PowerEstimate, SHARP_PICTURES, estimate_power,
+};
 pub use log_response::LogResponse;
 
 use crate::tone::{ResponseCurve, StartCurve};

@@ -7,9 +7,9 @@
 use super::context::MappingContext;
 use super::keyframe::Keyframe;
 use super::mapper::Mapper;
-use super::surface_pairs::{PictureSample, View};
+use super::surface_pairs::{MomentSamples, PictureSample, View, place_within};
 use crate::objective::blur_length;
-use i2slam_formation::response_estimate::MOMENTS;
+use i2slam_formation::response_estimate::SHARP_PICTURES;
 use i2slam_geometry::{Camera, Image};
 use rayon::prelude::*;
 
@@ -19,26 +19,22 @@ const MIN_BLUR: f64 = 2.0;
 const MAX_BLUR_RATIO: f64 = 0.25;
 /// Most blurred keyframes, the most blurred ones.
 const MAX_BLURRED: usize = 8;
-/// Sharp keyframes that each is compared with, the nearest in time.
-const SHARP_PER_BLURRED: usize = 2;
 /// Pixels of a blurred picture, about.
 const PIXELS: usize = 5000;
 
-/// A pixel of a blurred keyframe, and the samples of a sharp one at moments of its exposure.
+/// A pixel of a blurred keyframe, and the samples of sharp ones at moments of its exposure.
 pub(crate) struct MovedPixel {
     pub(super) blurred: PictureSample,
-    pub(super) sharp: [PictureSample; MOMENTS],
+    pub(super) sharp: [MomentSamples; SHARP_PICTURES],
 }
 
-/// Pixels of a blurred keyframe that a sharp one explains.
+/// Pixels of a blurred keyframe that sharp ones explain.
 pub(crate) struct BlurredView {
-    /// Place of the blurred keyframe among all.
-    pub(super) keyframe: usize,
     pub(super) pixels: Vec<MovedPixel>,
 }
 
-/// Pixels of pairs of a blurred and a sharp keyframe, as far as depth rendered from the map does not
-/// hide them. None of keyframes that are all alike.
+/// Pixels of blurred keyframes in the sharp ones nearest in time, as far as depth rendered from the map
+/// does not hide them. None of keyframes that are all alike.
 pub(crate) fn compare_blurred_keyframes(
     mapper: &mut dyn Mapper,
     context: &MappingContext<'_>,
@@ -48,21 +44,17 @@ pub(crate) fn compare_blurred_keyframes(
     let mut blurred: Vec<usize> = (0..blur.len()).filter(|&k| blur[k] >= MIN_BLUR).collect();
     blurred.sort_by(|&a, &b| blur[b].total_cmp(&blur[a]).then(a.cmp(&b)));
     blurred.truncate(MAX_BLURRED);
-    let mut pairs = Vec::new();
-    for k in blurred {
+    let mut view = |k: usize| View::new(mapper, context, &context.keyframes[k]);
+    let of_keyframe = |k: usize| {
         let mut sharp: Vec<usize> =
             (0..blur.len()).filter(|&other| blur[other] <= MAX_BLUR_RATIO * blur[k]).collect();
         sharp.sort_by_key(|other| other.abs_diff(k));
-        pairs.extend(sharp.into_iter().take(SHARP_PER_BLURRED).map(|other| (k, other)));
-    }
-    let mut view = |k: usize| View::new(mapper, context, &context.keyframes[k]);
-    let views: Option<Vec<(usize, [View; 2])>> =
-        pairs.into_iter().map(|(k, other)| Some((k, [view(k)?, view(other)?]))).collect();
-    let of_pair = |(keyframe, [blurred, sharp]): &(usize, [View; 2])| {
-        let pixels = moved_pixels(blurred, sharp, context.camera, context.valid_mask);
-        BlurredView { keyframe: *keyframe, pixels }
+        let [first, second, ..] = sharp[..] else { return None };
+        let sharp = [view(first)?, view(second)?];
+        let pixels = moved_pixels(&view(k)?, &sharp, context.camera, context.valid_mask);
+        Some(BlurredView { pixels })
     };
-    views.unwrap_or_default().par_iter().map(of_pair).collect()
+    blurred.into_iter().filter_map(of_keyframe).collect()
 }
 
 /// Blur of a keyframe over the depth of its observation \[px\]; `NaN`, neither blurred nor sharp, without
@@ -78,25 +70,23 @@ fn blur_of(context: &MappingContext<'_>, keyframe: &Keyframe) -> f64 {
 
 pub(super) fn moved_pixels(
     blurred: &View,
-    sharp: &View,
+    sharp: &[View; SHARP_PICTURES],
     camera: &Camera<f64>,
     valid_mask: Option<&Image<bool>>,
 ) -> Vec<MovedPixel> {
     let stride = ((camera.pixels() as f64 / PIXELS as f64).sqrt().ceil() as usize).max(1);
-    let rows = (stride / 2..camera.height).step_by(stride);
-    let places =
-        rows.flat_map(|row| (stride / 2..camera.width).step_by(stride).map(move |c| (c, row)));
-    let pixel = |(column, row): (usize, usize)| {
-        let mut samples = [None; MOMENTS];
-        for (moment, sample) in samples.iter_mut().enumerate() {
-            let time = (moment as f64 + 0.5) / MOMENTS as f64 - 0.5;
-            let place = Camera::<f64>::pixel_centre(column, row);
-            let point = blurred.surface_point(camera, place, time)?;
-            *sample = Some(sharp.cubic_sample_of(camera, valid_mask, point)?);
-        }
-        let sharp = samples.into_iter().collect::<Option<Vec<PictureSample>>>()?;
-        let blurred = blurred.pixel(camera, valid_mask, (column, row))?;
-        Some(MovedPixel { blurred, sharp: sharp.try_into().ok()? })
+    let pixel = |pixel: (usize, usize)| {
+        let place = place_within(pixel);
+        let point = blurred.surface_point(camera, place, 0.0)?;
+        let along = |sharp: &View| sharp.samples_along(camera, valid_mask, (blurred, place));
+        let [Some(first), Some(second)] = sharp.each_ref().map(along) else { return None };
+        let blurred = blurred.cubic_sample_of(camera, valid_mask, point)?;
+        Some(MovedPixel { blurred, sharp: [first, second] })
     };
-    places.filter_map(pixel).collect()
+    let row = |row: usize| {
+        let columns = (stride / 2..camera.width).step_by(stride);
+        columns.filter_map(|column| pixel((column, row))).collect::<Vec<MovedPixel>>()
+    };
+    let rows: Vec<usize> = (stride / 2..camera.height).step_by(stride).collect();
+    rows.into_par_iter().flat_map_iter(row).collect()
 }

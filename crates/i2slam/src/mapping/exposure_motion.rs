@@ -7,31 +7,49 @@ use super::context::MappingContext;
 use super::depth_inpainting::MIN_SURFACE_OPACITY;
 use super::keyframe::Keyframe;
 use super::mapper::Mapper;
-use super::response::log_light;
-use super::surface_pairs::{PictureSample, View};
+use super::response::log_lights;
+use super::surface_pairs::{MomentSamples, View, place_within};
 use crate::objective::blur_length;
+use crate::reconstruction::FrameEstimate;
 use i2slam_formation::exposure_length::{PARTNERS, SharedPoint, SurfacePoint, squared_length};
-use i2slam_formation::response_estimate::MOMENTS;
 use i2slam_formation::{CentreVelocity, ResponseCurve, ShutterPoses, Vignetting};
 use i2slam_geometry::{Camera, Image, Tangent};
 use rayon::prelude::*;
+use std::ops::RangeInclusive;
 
-/// Blur from which a length is sought \[px\]: shorter ones are hardly told from none, and change nothing.
-const MIN_BLUR: f64 = 1.0;
+/// Blur of which a length is sought \[px\]: shorter ones change nothing, along longer ones twelve moments lie
+/// too far apart.
+const SOUGHT_BLUR: RangeInclusive<f64> = 1.0..=24.0;
 /// Blur of the other pictures over that, at most: theirs is known less well.
 const MAX_BLUR_RATIO: f64 = 0.6;
 /// Fewest other pictures: one alone has no instrument.
 const MIN_PARTNERS: usize = 2;
+/// Most keyframes whose length is sought: of long sequences each has few final steps in which its motion
+/// would matter.
+const MAX_SEARCHES: usize = 64;
+/// Blur that the path makes in a frame interval over that of the estimate, from which the estimate says less
+/// of the direction.
+const MAX_PATH_RATIO: f64 = 2.0;
+/// Blur over that of the path in a frame interval, at most: the shutter is open for no longer.
+const MAX_OPEN_SHARE: f64 = 1.1;
 /// Pixels of a picture, about.
 const PIXELS: usize = 4000;
-/// Rounds in which pictures are sampled along the motion found so far.
-const ROUNDS: usize = 3;
-/// Bounds of the square of a length over that of the round before.
-const RATIO_BOUNDS: [f64; 2] = [0.04, 9.0];
+/// Most rounds in which pictures are sampled along the motion found so far.
+const MAX_ROUNDS: usize = 6;
+/// Bounds of the square of a length over that of the round before, and its distance from 1 at the end.
+const RATIO_BOUNDS: RangeInclusive<f64> = 0.04..=9.0;
+const CONVERGED_RATIO: f64 = 0.05;
 /// Standard deviation up to which a length replaces the estimate by the map \[px\].
 const MAX_DEVIATION: f64 = 0.3;
 
-type Samples = [PictureSample; MOMENTS];
+/// Time in which the rows of a picture are read, and the frame rate.
+#[derive(Clone, Copy)]
+pub(crate) struct Timing {
+    /// \[s\]
+    pub(crate) readout: f64,
+    /// \[1/s\]
+    pub(crate) frame_rate: f64,
+}
 
 /// Finds the lengths of motions that pictures tell, from the shortest on; returns the places of these
 /// keyframes among all.
@@ -39,27 +57,38 @@ pub(crate) fn find_exposure_motions(
     mapper: &mut dyn Mapper,
     context: &mut MappingContext<'_>,
     lens: Vignetting<f32>,
-    frame_rate: f64,
+    timing: Timing,
 ) -> Vec<usize> {
-    let keyframes = context.keyframes.iter();
+    let cancellation = context.cancellation;
+    let keyframes = context.keyframes.iter().take_while(|_| !cancellation.is_cancelled());
     let starts: Vec<MotionStart> = keyframes
-        .map(|keyframe| MotionStart::new(mapper, context, keyframe, frame_rate).unwrap_or_default())
+        .map(|keyframe| MotionStart::new(mapper, context, keyframe, timing).unwrap_or_default())
         .collect();
-    let mut blur: Vec<f64> = starts.iter().map(|start| start.known_blur).collect();
-    let mut order: Vec<usize> = (0..starts.len()).collect();
-    order.retain(|&k| starts[k].blur >= MIN_BLUR && !context.cancellation.is_cancelled());
-    order.sort_by(|&a, &b| starts[a].blur.total_cmp(&starts[b].blur).then(a.cmp(&b)));
+    let mut max_blur: Vec<f64> = starts.iter().map(MotionStart::max_blur).collect();
     let mut found = Vec::new();
-    for keyframe in order {
-        let partners = partners(keyframe, &blur, MAX_BLUR_RATIO * starts[keyframe].blur);
+    for keyframe in searched(&starts).into_iter().take_while(|_| !cancellation.is_cancelled()) {
+        let start = &starts[keyframe];
+        let partners = partners(keyframe, &max_blur, MAX_BLUR_RATIO * start.blur);
         let length = (partners.len() >= MIN_PARTNERS)
-            .then(|| relative_length(mapper, context, (keyframe, &starts), &partners, lens));
+            .then(|| start.relative_length(mapper, context, keyframe, &partners, lens));
         let Some(length) = length.flatten() else { continue };
-        blur[keyframe] = starts[keyframe].blur * length;
-        starts[keyframe].apply(context, keyframe, length);
-        found.push(keyframe);
+        max_blur[keyframe] = start.blur * length;
+        if max_blur[keyframe] >= *SOUGHT_BLUR.start() {
+            start.apply(&mut context.frames[context.keyframes[keyframe].frame], length);
+            found.push(keyframe);
+        }
     }
     found
+}
+
+/// Keyframes whose length is sought, spread over time, from the least blurred on.
+fn searched(starts: &[MotionStart]) -> Vec<usize> {
+    let sought: Vec<usize> =
+        (0..starts.len()).filter(|&k| SOUGHT_BLUR.contains(&starts[k].blur)).collect();
+    let stride = sought.len().div_ceil(MAX_SEARCHES).max(1);
+    let mut searched: Vec<usize> = sought.into_iter().step_by(stride).collect();
+    searched.sort_by(|&a, &b| starts[a].blur.total_cmp(&starts[b].blur).then(a.cmp(&b)));
+    searched
 }
 
 /// The keyframes nearest in time of so much blur at most.
@@ -75,75 +104,106 @@ fn partners(keyframe: usize, blur: &[f64], max_blur: f64) -> Vec<usize> {
 #[derive(Clone, Copy)]
 struct MotionStart {
     velocity: Tangent<f64>,
-    /// Blur that it makes \[px\].
+    /// Blur that it makes \[px\]; `NaN` without a map.
     blur: f64,
-    /// Blur of the estimate so far \[px\]; `NaN` without a map.
-    known_blur: f64,
+    /// Blur that the path makes in a frame interval \[px\], where it is known.
+    path_blur: Option<f64>,
+    /// Time from the first to the last row \[exposures\].
+    readout: f64,
+    /// That time in frame intervals.
+    readout_intervals: f64,
 }
 
 impl Default for MotionStart {
     fn default() -> Self {
-        Self { velocity: Tangent::zero(), blur: 0.0, known_blur: f64::NAN }
+        Self {
+            velocity: Tangent::zero(),
+            blur: f64::NAN,
+            path_blur: None,
+            readout: 0.0,
+            readout_intervals: 0.0,
+        }
     }
 }
 
 impl MotionStart {
-    /// The estimate so far; where it is below [`MIN_BLUR`] and the path moves by more, so much along the
-    /// path, as a blurred map hides short motions altogether.
+    /// The estimate so far, or one along the path where that moves by far more: a blurred map shortens
+    /// motions, down to none.
     fn new(
         mapper: &mut dyn Mapper,
         context: &MappingContext<'_>,
         keyframe: &Keyframe,
-        frame_rate: f64,
+        Timing { readout, frame_rate }: Timing,
     ) -> Option<Self> {
         let estimate = &context.frames[keyframe.frame];
         let centre = estimate.middle();
         let surface = mapper.render(centre)?.surface(MIN_SURFACE_OPACITY);
-        let blur = |velocity| {
+        let blur_of = |velocity| {
             let shutter: ShutterPoses<f64> = CentreVelocity { centre, velocity }.into();
             blur_length(context.camera, &shutter, &surface)
         };
         let velocity = CentreVelocity::from(estimate.shutter).velocity;
-        let known_blur = blur(velocity);
-        let known = Self { velocity, blur: known_blur, known_blur };
-        if known_blur >= MIN_BLUR {
-            return Some(known);
-        }
         let step = keyframe.adjacent.motion_per_interval(estimate.timestamp, frame_rate);
-        let along_path = step.map(|step| (step, blur(step))).filter(|(_, blur)| *blur >= MIN_BLUR);
-        Some(along_path.map_or(known, |(step, blur)| Self {
-            velocity: step.scaled(MIN_BLUR / blur),
-            blur: MIN_BLUR,
-            known_blur,
-        }))
+        let path = step.map(|step| (step, blur_of(step)));
+        let known = Self {
+            velocity,
+            blur: blur_of(velocity),
+            path_blur: path.map(|(_, blur)| blur),
+            readout: estimate.readout,
+            readout_intervals: readout * frame_rate,
+        };
+        let Some((step, path_blur)) = path.filter(|path| path.1 > MAX_PATH_RATIO * known.blur)
+        else {
+            return Some(known);
+        };
+        let blur = known.blur.max(*SOUGHT_BLUR.start()).min(path_blur);
+        let start = Self { velocity: step.scaled(blur / path_blur), blur, ..known };
+        Some(Self { readout: start.readout_of(1.0), ..start })
     }
 
-    /// Takes the motion over, so many times as long; rows are read in the same time as before.
-    fn apply(&self, context: &mut MappingContext<'_>, keyframe: usize, length: f64) {
-        let estimate = &mut context.frames[context.keyframes[keyframe].frame];
-        let shutter = CentreVelocity::from(estimate.shutter);
+    /// Blur that the picture may have without the map's saying so.
+    fn max_blur(&self) -> f64 {
+        self.path_blur.map_or(self.blur, |path_blur| path_blur.max(self.blur))
+    }
+
+    /// Readout in exposures that are so many times as long: rows are read in the same time.
+    fn readout_of(&self, length: f64) -> f64 {
+        match self.path_blur {
+            Some(path_blur) if self.blur > 0.0 => {
+                self.readout_intervals * path_blur / (self.blur * length)
+            }
+            _ => self.readout / length,
+        }
+    }
+
+    /// Length of the motion of a keyframe over that of this start; `None` where its pictures do not tell.
+    fn relative_length(
+        &self,
+        mapper: &mut dyn Mapper,
+        context: &MappingContext<'_>,
+        keyframe: usize,
+        partners: &[usize],
+        lens: Vignetting<f32>,
+    ) -> Option<f64> {
+        let mut view = |k: usize| View::new(mapper, context, &context.keyframes[k]);
+        let own = view(keyframe)?.with_motion(self.velocity, self.readout);
+        let others = partners.iter().map(|&k| view(k)).collect::<Option<Vec<View>>>()?;
+        let (camera, valid_mask) = (context.camera, context.valid_mask);
+        let pictures = Pictures { camera, valid_mask, curve: context.responses[0].curve(), lens };
+        let (length, deviation) = pictures.relative_length(own, &others)?;
+        let blur = self.blur * length;
+        let is_possible = self.path_blur.is_none_or(|path| blur <= MAX_OPEN_SHARE * path);
+        (is_possible && deviation * self.blur < MAX_DEVIATION).then_some(length)
+    }
+
+    /// Takes the motion over, so many times as long.
+    fn apply(&self, estimate: &mut FrameEstimate, length: f64) {
+        let centre = estimate.middle();
         let velocity = self.velocity.scaled(length);
-        estimate.readout *= readout_ratio(shutter.velocity, velocity);
-        estimate.shutter = CentreVelocity { velocity, ..shutter }.into();
+        estimate.shutter = CentreVelocity { centre, velocity }.into();
+        estimate.readout = self.readout_of(length);
+        estimate.blur_length = self.blur * length;
     }
-}
-
-/// Length of a keyframe's motion over that which it starts with; `None` where its pictures do not tell.
-fn relative_length(
-    mapper: &mut dyn Mapper,
-    context: &MappingContext<'_>,
-    (keyframe, starts): (usize, &[MotionStart]),
-    partners: &[usize],
-    lens: Vignetting<f32>,
-) -> Option<f64> {
-    let MotionStart { velocity, blur, .. } = starts[keyframe];
-    let mut view = |k: usize| View::new(mapper, context, &context.keyframes[k]);
-    let own = view(keyframe)?;
-    let others = partners.iter().map(|&k| view(k)).collect::<Option<Vec<View>>>()?;
-    let (camera, valid_mask) = (context.camera, context.valid_mask);
-    let pictures = Pictures { camera, valid_mask, curve: context.responses[0].curve(), lens };
-    let (length, deviation) = pictures.relative_length(own.with_velocity(velocity), &others)?;
-    (deviation * blur < MAX_DEVIATION).then_some(length)
 }
 
 /// What pictures of keyframes are compared by.
@@ -155,17 +215,20 @@ struct Pictures<'a> {
 }
 
 impl Pictures<'_> {
-    /// Length of the motion of a picture over that of `own`, and its standard deviation.
+    /// Length of the motion of a picture over that of `own`, and its standard deviation; `None` where it does
+    /// not settle, unless at far below the start.
     fn relative_length(&self, mut own: View, others: &[View]) -> Option<(f64, f64)> {
-        let (mut length, mut deviation) = (1.0, f64::INFINITY);
-        for _ in 0..ROUNDS {
+        let mut length = 1.0;
+        for _ in 0..MAX_ROUNDS {
             let found = squared_length(&self.surface_points(&own, others))?;
-            let ratio = found.ratio.clamp(RATIO_BOUNDS[0], RATIO_BOUNDS[1]).sqrt();
+            let ratio = found.ratio.clamp(*RATIO_BOUNDS.start(), *RATIO_BOUNDS.end()).sqrt();
             own = own.scaled(ratio);
             length *= ratio;
-            deviation = 0.5 * found.deviation * length;
+            if (found.ratio - 1.0).abs() < CONVERGED_RATIO || length < *RATIO_BOUNDS.start() {
+                return Some((length, 0.5 * found.deviation * length));
+            }
         }
-        Some((length, deviation))
+        None
     }
 
     /// Points of a picture in all others, by channel.
@@ -195,19 +258,12 @@ impl Pictures<'_> {
                 continue;
             };
             for (channel, point) in point.iter_mut().enumerate() {
-                let (own, other) = (self.logs(&in_own, channel), self.logs(&in_other, channel));
-                point[partner] = own.zip(other).map(|(own, other)| SharedPoint { own, other });
+                let logs = |samples| log_lights(&self.curve, self.lens, samples, channel);
+                let both = logs(&in_own).zip(logs(&in_other));
+                point[partner] = both.map(|(own, other)| SharedPoint { own, other });
             }
         }
         point
-    }
-
-    fn logs(&self, samples: &Samples, channel: usize) -> Option<[f64; MOMENTS]> {
-        let mut logs = [0.0; MOMENTS];
-        for (log, sample) in logs.iter_mut().zip(samples) {
-            *log = log_light(&self.curve, self.lens, sample, channel)?;
-        }
-        Some(logs)
     }
 }
 
@@ -218,37 +274,12 @@ fn samples(
     camera: &Camera<f64>,
     valid_mask: Option<&Image<bool>>,
     pixel: (usize, usize),
-) -> Option<[Samples; 2]> {
+) -> Option<[MomentSamples; 2]> {
     let place = place_within(pixel);
     let place_in_other =
         other.place_of(camera, valid_mask, own.surface_point(camera, place, 0.0)?)?;
-    let along = |moving: &View, place: (f64, f64), seen: &View| -> Option<Samples> {
-        let mut samples = [PictureSample::default(); MOMENTS];
-        for (moment, sample) in samples.iter_mut().enumerate() {
-            let time = (moment as f64 + 0.5) / MOMENTS as f64 - 0.5;
-            let point = moving.surface_point(camera, place, time)?;
-            *sample = seen.cubic_sample_of(camera, valid_mask, point)?;
-        }
-        Some(samples)
-    };
-    Some([along(other, place_in_other, own)?, along(own, place, other)?])
-}
-
-/// A place within a pixel, anywhere with equal chance: both pictures are interpolated alike then, which
-/// takes away contrast between pixel centres.
-fn place_within((column, row): (usize, usize)) -> (f64, f64) {
-    // Golden ratios in two dimensions (Roberts' R2 sequence).
-    let number = (column * 7919 + row) as f64;
-    let within = |ratio: f64| (number * ratio).fract();
-    (column as f64 + within(0.754_877_666_246_693), row as f64 + within(0.569_840_290_998_053))
-}
-
-/// Time in which rows are read, in exposures by a motion over that by a former one: rows are read in the
-/// same time.
-pub(super) fn readout_ratio(former: Tangent<f64>, velocity: Tangent<f64>) -> f64 {
-    let length = |motion: Tangent<f64>| motion.to_array().iter().map(|v| v * v).sum::<f64>().sqrt();
-    let (former, velocity) = (length(former), length(velocity));
-    if former > 0.0 && velocity > 0.0 { former / velocity } else { 1.0 }
+    let in_own = own.samples_along(camera, valid_mask, (other, place_in_other))?;
+    Some([in_own, other.samples_along(camera, valid_mask, (own, place))?])
 }
 
 #[cfg(test)]
@@ -276,7 +307,7 @@ mod tests {
         let (camera, lens) = (&CAMERA, Vignetting::default());
         let pictures = Pictures { camera, valid_mask: None, curve: curve(), lens };
         let others = [view(1, 0.0), view(2, 0.2), view(3, 0.0)];
-        for assumed in [0.6, 1.3] {
+        for assumed in [0.25, 0.6, 1.3] {
             let own = view(0, 1.0).scaled(assumed);
             let (length, deviation) = pictures.relative_length(own, &others).expect("texture");
             assert!((length * assumed - 1.0).abs() < 0.06, "{assumed}: {length} ± {deviation}");
@@ -290,9 +321,36 @@ mod tests {
         assert_eq!(partners(0, &blur, 0.06), [0_usize; 0]);
     }
 
+    fn start(blur: f64, path_blur: Option<f64>) -> MotionStart {
+        let (readout, readout_intervals) = (0.8, 0.4);
+        MotionStart { velocity: velocity(), blur, path_blur, readout, readout_intervals }
+    }
+
+    /// The shutter is open for `blur / path_blur` of a frame interval.
     #[test]
     fn rows_are_read_in_the_same_time_by_another_motion() {
-        assert_eq!(readout_ratio(velocity(), velocity().scaled(2.0)), 0.5);
-        assert_eq!(readout_ratio(Tangent::zero(), velocity()), 1.0);
+        assert!((start(2.0, Some(8.0)).readout_of(1.0) - 1.6).abs() < 1e-12);
+        assert!((start(2.0, Some(8.0)).readout_of(2.0) - 0.8).abs() < 1e-12);
+        assert!((start(2.0, None).readout_of(2.0) - 0.4).abs() < 1e-12);
+    }
+
+    /// A camera that moves all the time has no pictures of which the map says truly that they are sharp.
+    #[test]
+    fn pictures_that_may_be_blurred_are_no_partners() {
+        let max_blur: Vec<f64> = [0.2, 0.5, 0.3].map(|b| start(b, Some(4.0)).max_blur()).to_vec();
+        assert_eq!(partners(1, &max_blur, MAX_BLUR_RATIO * 4.0), [0_usize; 0]);
+        assert_eq!(start(0.2, None).max_blur(), 0.2);
+        assert!(MotionStart::default().max_blur().is_nan());
+    }
+
+    #[test]
+    fn searches_are_spread_over_time_from_the_least_blurred_on() {
+        let starts: Vec<MotionStart> =
+            (0..200).map(|k| start(0.5 + f64::from(k % 40), None)).collect();
+        let searched = searched(&starts);
+        assert!((32..=MAX_SEARCHES).contains(&searched.len()), "{}", searched.len());
+        assert!(searched.iter().any(|k| *k < 20) && searched.iter().any(|k| *k > 180));
+        assert!(searched.windows(2).all(|pair| starts[pair[0]].blur <= starts[pair[1]].blur));
+        assert!(searched.iter().all(|k| SOUGHT_BLUR.contains(&starts[*k].blur)));
     }
 }

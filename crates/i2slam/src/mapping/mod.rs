@@ -24,7 +24,7 @@ mod window;
 pub(crate) use blur_pairs::compare_blurred_keyframes;
 pub(crate) use context::{MappingContext, RefinementStep};
 pub(crate) use depth_inpainting::MIN_SURFACE_OPACITY;
-pub(crate) use exposure_motion::find_exposure_motions;
+pub(crate) use exposure_motion::{Timing, find_exposure_motions};
 pub(crate) use field::{FieldMapper, largest_field};
 pub(crate) use gaussians::GaussianMapper;
 pub(crate) use joint::JointFieldMapper;

@@ -14,7 +14,7 @@ use super::white_balance::is_white_balance_constant;
 use crate::config::{Config, ResponseScope};
 use crate::reconstruction::FrameEstimate;
 use i2slam_formation::response_estimate::{
-    BlurPair, BlurredPixel, MOMENTS, TIED, ValuePair, deviation_by_response, estimate,
+    BlurredPicture, BlurredPixel, MOMENTS, TIED, ValuePair, deviation_by_response, estimate,
     estimate_power,
 };
 use i2slam_formation::{CameraResponse, FrameTone, ResponseCurve, Vignetting, WhiteBalanceModel};
@@ -178,23 +178,33 @@ fn blurred_pixels(
     blurred: &[BlurredView],
     curve: &ResponseCurve<f32>,
     lens: Vignetting<f32>,
-) -> Vec<BlurPair> {
-    let log_light = |sample: &PictureSample, channel| log_light(curve, lens, sample, channel);
+) -> Vec<BlurredPicture> {
     let pixel = |moved: &MovedPixel, channel: usize| {
-        let mut sharp = [0.0; MOMENTS];
-        for (log, sample) in sharp.iter_mut().zip(&moved.sharp) {
-            *log = log_light(sample, channel)?;
-        }
-        Some(BlurredPixel { blurred: log_light(&moved.blurred, channel)?, sharp })
+        let sharp = moved.sharp.each_ref().map(|s| log_lights(curve, lens, s, channel));
+        let [Some(first), Some(second)] = sharp else { return None };
+        let blurred = log_light(curve, lens, &moved.blurred, channel)?;
+        Some(BlurredPixel { blurred, sharp: [first, second] })
     };
-    let of_channel = |view: &BlurredView, channel| -> Vec<BlurredPixel> {
-        view.pixels.iter().filter_map(|moved| pixel(moved, channel)).collect()
+    let picture = |view: &BlurredView| BlurredPicture {
+        channels: std::array::from_fn(|channel| {
+            view.pixels.iter().filter_map(|moved| pixel(moved, channel)).collect()
+        }),
     };
-    let pair = |view: &BlurredView| BlurPair {
-        picture: view.keyframe,
-        channels: std::array::from_fn(|channel| of_channel(view, channel)),
-    };
-    blurred.par_iter().map(pair).collect()
+    blurred.par_iter().map(picture).collect()
+}
+
+/// [`log_light`] at the moments of an exposure; `None` where one is badly exposed.
+pub(super) fn log_lights(
+    curve: &ResponseCurve<f32>,
+    lens: Vignetting<f32>,
+    samples: &[PictureSample; MOMENTS],
+    channel: usize,
+) -> Option<[f64; MOMENTS]> {
+    let mut logs = [0.0; MOMENTS];
+    for (log, sample) in logs.iter_mut().zip(samples) {
+        *log = log_light(curve, lens, sample, channel)?;
+    }
+    Some(logs)
 }
 
 /// Logarithm of the light of a sample behind the lens; `None` where it is badly exposed.
@@ -412,11 +422,11 @@ mod tests {
             let tone = FrameTone { log_exposure, ..FrameTone::default() };
             exposed_view(pose, velocity, &tone, &lens, 0)
         };
-        let sharp = view(0.0, [0.0; 3], 0.0);
+        let sharp = [0.0, -0.03].map(|at| view(at, [0.0; 3], 0.0));
         let motions = [[0.0, 0.2, 0.0], [0.25, 0.0, 0.0], [0.15, -0.15, 0.1]];
         let blurred = (0..3).map(|k| {
             let moved = view(0.05 * k as f64, motions[k], 0.3 * k as f32);
-            BlurredView { keyframe: k, pixels: moved_pixels(&moved, &sharp, &CAMERA, None) }
+            BlurredView { pixels: moved_pixels(&moved, &sharp, &CAMERA, None) }
         });
         let blurred: Vec<BlurredView> = blurred.collect();
         let known = response(StartCurve::Shoulder);

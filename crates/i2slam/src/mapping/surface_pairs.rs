@@ -6,12 +6,12 @@
 
 use super::context::MappingContext;
 use super::depth_inpainting::MIN_SURFACE_OPACITY;
-use super::exposure_motion::readout_ratio;
 use super::keyframe::Keyframe;
 use super::mapper::Mapper;
 use crate::keyframes::project_rolling;
 use crate::objective::Observation;
 use i2slam_formation::CentreVelocity;
+use i2slam_formation::response_estimate::MOMENTS;
 use i2slam_formation::vignetting::squared_radius;
 use i2slam_geometry::{Camera, Image, Pose, Tangent, Vec3};
 use rayon::prelude::*;
@@ -40,6 +40,19 @@ pub(super) struct PictureSample {
     /// Squared distance from the middle of the picture, in half diagonals.
     pub(super) squared_radius: f64,
 }
+
+/// A place within a pixel, anywhere with equal chance: pictures that are compared are interpolated alike
+/// then, which
+/// takes away contrast between pixel centres.
+pub(super) fn place_within((column, row): (usize, usize)) -> (f64, f64) {
+    // Golden ratios in two dimensions (Roberts' R2 sequence).
+    let number = (column * 7919 + row) as f64;
+    let within = |ratio: f64| (number * ratio).fract();
+    (column as f64 + within(0.754_877_666_246_693), row as f64 + within(0.569_840_290_998_053))
+}
+
+/// A picture at moments of an exposure.
+pub(super) type MomentSamples = [PictureSample; MOMENTS];
 
 /// A surface point in two keyframes.
 pub(super) type SamplePair = [PictureSample; 2];
@@ -182,32 +195,33 @@ impl View {
         })
     }
 
-    /// The picture at a pixel, without slopes; `None` where it recorded nothing.
-    pub(super) fn pixel(
+    /// The picture along the way that the surface at a place of `moving` takes through it during the
+    /// exposure of that; `None` where it is not seen all the time.
+    pub(super) fn samples_along(
         &self,
         camera: &Camera<f64>,
         valid_mask: Option<&Image<bool>>,
-        (column, row): (usize, usize),
-    ) -> Option<PictureSample> {
-        let (u, v) = Camera::<f64>::pixel_centre(column, row);
-        let is_valid = valid_mask.is_none_or(|mask| mask.at(0, column, row));
-        is_valid.then(|| PictureSample {
-            values: std::array::from_fn(|c| self.observation.colour.at(c, column, row)),
-            slopes: [0.0; 3],
-            squared_radius: squared_radius(camera, u, v),
-        })
+        (moving, place): (&Self, (f64, f64)),
+    ) -> Option<MomentSamples> {
+        let mut samples = [PictureSample::default(); MOMENTS];
+        for (moment, sample) in samples.iter_mut().enumerate() {
+            let time = (moment as f64 + 0.5) / MOMENTS as f64 - 0.5;
+            let point = moving.surface_point(camera, place, time)?;
+            *sample = self.cubic_sample_of(camera, valid_mask, point)?;
+        }
+        Some(samples)
     }
 
-    /// The keyframe with another motion over its exposure.
-    pub(super) fn with_velocity(self, velocity: Tangent<f64>) -> Self {
-        let readout = self.readout * readout_ratio(self.velocity, velocity);
+    /// The keyframe with another motion over its exposure, and time from the first to the last row
+    /// \[exposures\].
+    pub(super) fn with_motion(self, velocity: Tangent<f64>, readout: f64) -> Self {
         Self { velocity, readout, ..self }
     }
 
-    /// The keyframe with a motion over its exposure that is so many times as long.
+    /// The keyframe with an exposure that is so many times as long, its rows read in the same time.
     pub(super) fn scaled(self, length: f64) -> Self {
-        let velocity = self.velocity.scaled(length);
-        self.with_velocity(velocity)
+        let (velocity, readout) = (self.velocity.scaled(length), self.readout / length);
+        Self { velocity, readout, ..self }
     }
 
     /// The point of the world that a place in the picture shows at a time of the exposure, from -½ to ½;

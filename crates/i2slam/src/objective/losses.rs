@@ -22,9 +22,9 @@ pub struct ImageLoss {
 pub enum PixelLoss {
     /// `|e|` (SplaTAM).
     Absolute,
-    /// `(δ²/ε) (√(1 + (e/δ)²) - 1)` (Charbonnier; pseudo-Huber): a square up to `δ` = 0.1, which has no
-    /// kink where pictures agree and asks for the edges that are missed by most, and linear beyond for
-    /// what is not of the scene. At `ε` = 0.02 its slope is that of the absolute difference.
+    /// `(δ²/ε) (√(1 + (e/δ)²) - 1)` (Charbonnier; pseudo-Huber): a square up to `δ` = 0.1, without a kink
+    /// where pictures agree and with a slope that grows with the error, and linear beyond. At `ε` = 0.02 its
+    /// slope is that of the absolute difference, far beyond `δ` five times that.
     PseudoHuber,
 }
 
@@ -43,7 +43,8 @@ impl PixelLoss {
                 let root = (T::one() + ratio * ratio).sqrt();
                 let slope = difference * T::of(1.0 / UNIT_SLOPE_AT) / root;
                 // root - 1 without cancellation.
-                (slope * difference * root / (root + T::one()), slope)
+                let square = difference * difference * T::of(1.0 / UNIT_SLOPE_AT);
+                (square / (root + T::one()), slope)
             }
         }
     }

@@ -2,8 +2,8 @@
 
 use super::Session;
 use crate::mapping::{
-    FoundTone, LensVignetting, compare_blurred_keyframes, compare_keyframes, find_exposure_motions,
-    find_tone, finds_response,
+    FoundTone, LensVignetting, Timing, compare_blurred_keyframes, compare_keyframes,
+    find_exposure_motions, find_tone, finds_response,
 };
 
 impl Session {
@@ -36,12 +36,14 @@ impl Session {
     pub(super) fn find_motions(&mut self) {
         let is_stepped = self.config.parameters.frames.motion_rotation_rate > 0.0;
         let is_video = self.source.is_some() && !self.is_unordered;
-        if !(self.config.formation.blur && is_stepped && is_video && self.mapper.gaussians() > 0) {
+        let is_comparable = finds_response(&self.config) && self.mapper.gaussians() > 0;
+        if !(self.config.formation.blur && is_stepped && is_video && is_comparable) {
             return;
         }
-        let (lens, frame_rate) = (self.state.lens_vignetting(), self.frame_rate);
+        let lens = self.state.lens_vignetting();
+        let timing = Timing { readout: self.tracker.readout.seconds, frame_rate: self.frame_rate };
         let (mapper, _, mut context) = self.mapping();
-        for keyframe in find_exposure_motions(mapper, &mut context, lens, frame_rate) {
+        for keyframe in find_exposure_motions(mapper, &mut context, lens, timing) {
             self.state.keyframes[keyframe].has_found_motion = true;
         }
     }

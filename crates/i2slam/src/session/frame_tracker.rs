@@ -103,6 +103,7 @@ impl FrameTracker {
             if keyframe.has_found_motion {
                 let known = &context.frames[keyframe.frame];
                 (estimate.shutter, estimate.readout) = (known.shutter, known.readout);
+                estimate.blur_length = known.blur_length;
             }
             if keyframe.frame == context.gauge_frame(keyframe) {
                 estimate.tone = tone;
