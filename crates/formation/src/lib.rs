@@ -1,7 +1,7 @@
 #![doc = include_str!("../README.md")]
 
 pub mod auto_exposure;
-pub mod exposure_length;
+pub mod blur_estimate;
 pub mod form;
 pub mod gauge;
 pub mod reproject;

@@ -49,7 +49,7 @@ pub struct Sequence {
     /// Median frames a second of the associated stream (not divided by the stride).
     pub frame_rate: f64,
     /// Whether neither time stamps nor a frame rate were recorded, so that frames count as
-    /// [`DEFAULT_FRAME_RATE`] a second.
+    /// 30 a second.
     pub are_times_assumed: bool,
     /// Depth image value of one metre.
     pub depth_scale: f64,

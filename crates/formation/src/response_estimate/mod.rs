@@ -9,7 +9,7 @@
 //! where `v` is the vignetting and `g` the difference of the logarithmic gains of the two pictures, one
 //! unknown for each pair and channel (Mitsunaga and Nayar 1999, Grossberg and Nayar 2003). Pictures of
 //! different exposure tell the shape of `h`; its scale, a power of linear values, they do not: the start
-//! curve gives it, until blur tells it ([`estimate_power`]).
+//! curve gives it, until blur tells it ([`estimate_power`](crate::blur_estimate::estimate_power)).
 //!
 //! Residuals count in the noise of the picture values, `ε = (h(y₁) - h(y₂) - g) / D` with
 //! `D² = (h'σ)₁² + (h'σ)₂²`: compared in `h`, a flat curve would explain everything. The density of
@@ -24,14 +24,10 @@
 //! bend the curve until they cost less. Gauss-Newton with Levenberg's damping on the offsets `d` of the
 //! logarithmic slope at the knots ([`LogResponse`]), which are a random walk from knot to knot.
 
-mod blur_power;
 mod log_response;
 #[cfg(test)]
 mod tests;
 
-pub use blur_power::{
-    BlurredPicture, BlurredPixel, MOMENTS, PowerEstimate, SHARP_PICTURES, estimate_power,
-};
 pub use log_response::LogResponse;
 
 use crate::tone::{ResponseCurve, StartCurve};

@@ -2,14 +2,14 @@
 //!
 //! A pixel of a blurred keyframe moves over the surface that the map shows while the shutter is open; a
 //! keyframe without blur shows the light of these places one by one. See
-//! [`i2slam_formation::response_estimate::estimate_power`].
+//! [`i2slam_formation::blur_estimate::estimate_power`].
 
 use super::context::MappingContext;
 use super::keyframe::Keyframe;
 use super::mapper::Mapper;
 use super::surface_pairs::{MomentSamples, PictureSample, View, place_within};
 use crate::objective::blur_length;
-use i2slam_formation::response_estimate::SHARP_PICTURES;
+use i2slam_formation::blur_estimate::SHARP_PICTURES;
 use i2slam_geometry::{Camera, Image};
 use rayon::prelude::*;
 

@@ -1,7 +1,7 @@
 //! Length of the motion during the exposures of keyframes, from their pictures.
 //!
 //! The map tells where other keyframes saw the surface of a blurred one, and the path in which direction
-//! it moved; the length follows from the pictures alone, see [`i2slam_formation::exposure_length`].
+//! it moved; the length follows from the pictures alone, see [`i2slam_formation::blur_estimate`].
 
 use super::context::MappingContext;
 use super::depth_inpainting::MIN_SURFACE_OPACITY;
@@ -11,7 +11,7 @@ use super::response::log_lights;
 use super::surface_pairs::{MomentSamples, View, place_within};
 use crate::objective::blur_length;
 use crate::reconstruction::FrameEstimate;
-use i2slam_formation::exposure_length::{PARTNERS, SharedPoint, SurfacePoint, squared_length};
+use i2slam_formation::blur_estimate::{PARTNERS, SharedPoint, SurfacePoint, squared_length};
 use i2slam_formation::{CentreVelocity, ResponseCurve, ShutterPoses, Vignetting};
 use i2slam_geometry::{Camera, Image, Tangent};
 use rayon::prelude::*;

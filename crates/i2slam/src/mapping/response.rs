@@ -13,10 +13,8 @@ use super::surface_pairs::{ComparedViews, PLACE_DEVIATION, PictureSample, Sample
 use super::white_balance::is_white_balance_constant;
 use crate::config::{Config, ResponseScope};
 use crate::reconstruction::FrameEstimate;
-use i2slam_formation::response_estimate::{
-    BlurredPicture, BlurredPixel, MOMENTS, TIED, ValuePair, deviation_by_response, estimate,
-    estimate_power,
-};
+use i2slam_formation::blur_estimate::{BlurredPicture, BlurredPixel, MOMENTS, estimate_power};
+use i2slam_formation::response_estimate::{TIED, ValuePair, deviation_by_response, estimate};
 use i2slam_formation::{CameraResponse, FrameTone, ResponseCurve, Vignetting, WhiteBalanceModel};
 use rayon::prelude::*;
 use std::collections::BTreeMap;

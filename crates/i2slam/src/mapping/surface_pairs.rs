@@ -11,7 +11,7 @@ use super::mapper::Mapper;
 use crate::keyframes::project_rolling;
 use crate::objective::Observation;
 use i2slam_formation::CentreVelocity;
-use i2slam_formation::response_estimate::MOMENTS;
+use i2slam_formation::blur_estimate::MOMENTS;
 use i2slam_formation::vignetting::squared_radius;
 use i2slam_geometry::{Camera, Image, Pose, Tangent, Vec3};
 use rayon::prelude::*;

@@ -23,11 +23,8 @@
 //! are the instruments of the estimate (two-stage least squares). Gauss-Newton with Geman and McClure's
 //! weights, all but `p` eliminated.
 
-use i2slam_compute::{SIGMA_PER_MEDIAN, median};
+use super::{MOMENTS, MeanLight, PairTerms, Products, Term, UNKNOWNS, deviation};
 use rayon::prelude::*;
-
-/// Moments of an exposure.
-pub const MOMENTS: usize = 12;
 
 /// Steps of Gauss-Newton; eight reach the optimum.
 const STEPS: usize = 15;
@@ -40,13 +37,8 @@ const MIN_PICTURES: usize = 2;
 const MIN_PICTURE_PIXELS: usize = 200;
 /// Most that length and time of an exposure are off \[exposures\].
 const MAX_MOTION: f64 = 0.5;
-/// Added to the diagonals of what is eliminated, over their sum: pictures without blur tell neither
-/// length nor time of the exposure.
-const RIDGE: f64 = 1e-9;
 /// Sharp pictures that each blurred one is compared with.
 pub const SHARP_PICTURES: usize = 2;
-/// Scale of the weights, in robust deviations of the residuals.
-const LOSS_SCALE: f64 = 2.0;
 
 /// A pixel of a blurred picture in one channel.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -74,43 +66,18 @@ pub struct PowerEstimate {
     pub deviation: f64,
 }
 
-/// Residual of a pixel, the derivatives of what is predicted, and the same derivatives in another sharp
-/// picture.
-#[derive(Clone, Copy)]
-struct Term {
-    /// Observed less predicted, then the derivatives by `p`, length and time of the exposure.
-    values: [f64; 4],
-    /// Instruments of the three derivatives.
-    instruments: [f64; 3],
-}
-
-const RESIDUAL: usize = 0;
-const POWER: usize = 1;
-const LENGTH: usize = 2;
-const TIME: usize = 3;
-
-/// What is predicted from one sharp picture, with its derivatives by `p`, length and time.
-fn predicted(sharp: &[f64; MOMENTS], power: f64) -> (f64, [f64; 3]) {
-    let mean = sharp.iter().sum::<f64>() / MOMENTS as f64;
-    let raised = sharp.map(|log| (power * (log - mean)).exp());
-    let sum = raised.iter().sum::<f64>() / MOMENTS as f64;
-    let products = sharp.iter().zip(raised).map(|(log, r)| (log - mean) * r);
-    let by_power = products.sum::<f64>() / (MOMENTS as f64 * sum);
-    // Half an interval beyond the first and the last moment.
-    let ends = [[0, 1], [MOMENTS - 1, MOMENTS - 2]]
-        .map(|[end, next]| (1.5 * raised[end] - 0.5 * raised[next]) / sum);
-    let log = sum.ln();
-    let length = (0.5 * (ends[0] + ends[1]) - 1.0) / power;
-    let time = (ends[1] - ends[0]) / power;
-    (mean + log / power, [by_power / power - log / (power * power), length, time])
-}
-
 impl BlurredPixel {
-    /// Term of one sharp picture, with the other one as instrument.
+    /// Term of one sharp picture, with the other one as instrument; the unknowns are `p`, length and time of
+    /// the exposure.
     fn term(&self, sharp: usize, power: f64) -> Term {
-        let (value, [by_power, length, time]) = predicted(&self.sharp[sharp], power);
-        let (_, instruments) = predicted(&self.sharp[1 - sharp], power);
-        Term { values: [self.blurred - value, by_power, length, time], instruments }
+        let [predicted, other] =
+            [sharp, 1 - sharp].map(|picture| MeanLight::new(&self.sharp[picture], power));
+        let derivatives = |light: &MeanLight| [light.by_power, light.by_length, light.by_time];
+        Term {
+            residual: self.blurred - predicted.log,
+            derivatives: derivatives(&predicted),
+            instruments: derivatives(&other),
+        }
     }
 }
 
@@ -129,7 +96,7 @@ pub fn estimate_power(pictures: &[BlurredPicture]) -> Option<PowerEstimate> {
     for _ in 0..STEPS {
         let products = products_of_pictures(&used, estimate.power, &motions)?;
         let of_picture = |pair: &[Products; SHARP_PICTURES]| {
-            let [first, second] = pair.each_ref().map(Products::without_motion);
+            let [first, second] = pair.each_ref().map(Products::reduced);
             [first[0] + second[0], first[1] + second[1]]
         };
         let sums: Vec<[f64; 2]> = products.iter().map(of_picture).collect();
@@ -160,58 +127,16 @@ struct Motion {
 }
 
 impl Motion {
-    /// Residual of a term with this motion.
-    fn residual(&self, term: &Term) -> f64 {
-        let values = &term.values;
-        values[RESIDUAL] - self.length * values[LENGTH] - self.time * values[TIME]
-    }
-
     fn step(&mut self, products: &Products, power_step: f64) {
-        let [length, time] = products.motion(|sums| sums[RESIDUAL] - power_step * sums[POWER]);
+        let [_, length, time] = products.steps(power_step);
         self.length = (self.length + length).clamp(-MAX_MOTION, MAX_MOTION);
         self.time = (self.time + time).clamp(-MAX_MOTION, MAX_MOTION);
     }
-}
 
-/// Weighted sums of the products of the three instruments with residual and derivatives, less their means
-/// in each channel.
-#[derive(Default)]
-struct Products([[f64; 4]; 3]);
-
-/// Rows of [`Products`] by what they are instruments of.
-const BY_POWER: usize = POWER - 1;
-const BY_LENGTH: usize = LENGTH - 1;
-const BY_TIME: usize = TIME - 1;
-
-impl Products {
-    /// Length and time of the exposure that explain a column of the products best.
-    fn motion(&self, column: impl Fn(&[f64; 4]) -> f64) -> [f64; 2] {
-        let (by_length, by_time) = (&self.0[BY_LENGTH], &self.0[BY_TIME]);
-        let ridge = RIDGE * (by_length[LENGTH].abs() + by_time[TIME].abs());
-        let (a, b) = (by_length[LENGTH] + ridge, by_length[TIME]);
-        let (c, d) = (by_time[LENGTH], by_time[TIME] + ridge);
-        let (length, time) = (column(by_length), column(by_time));
-        let determinant = a * d - b * c;
-        if a <= 0.0 || d <= 0.0 || determinant <= 0.0 {
-            return [0.0; 2];
-        }
-        [(d * length - b * time) / determinant, (a * time - c * length) / determinant]
-    }
-
-    /// `[Σ w z e, Σ w z v]`, `z` being the instrument of `p`, `e` and `v` residual and derivative by `p`
-    /// without what length and time of the exposure explain of them.
-    fn without_motion(&self) -> [f64; 2] {
-        let by_power = &self.0[BY_POWER];
-        let of = |column: usize| {
-            let [length, time] = self.motion(|sums| sums[column]);
-            by_power[column] - length * by_power[LENGTH] - time * by_power[TIME]
-        };
-        [of(RESIDUAL), of(POWER)]
+    fn steps(&self) -> [f64; UNKNOWNS] {
+        [0.0, self.length, self.time]
     }
 }
-
-/// Terms of a blurred and a sharp picture, by channel.
-type PairTerms = [Vec<Term>; 3];
 
 fn products_of_pictures(
     pictures: &[&BlurredPicture],
@@ -221,54 +146,22 @@ fn products_of_pictures(
     let terms = |(picture, motions): (&&BlurredPicture, &[Motion; SHARP_PICTURES])| {
         let term = |pixel: &BlurredPixel, sharp: usize| {
             let mut term = pixel.term(sharp, power);
-            term.values[RESIDUAL] = motions[sharp].residual(&term);
+            term.change(motions[sharp].steps());
             term
         };
         let of_pair = |sharp| -> PairTerms {
-            std::array::from_fn(|c| {
-                picture.channels[c].iter().map(|pixel| term(pixel, sharp)).collect()
-            })
+            let channels = picture.channels.each_ref();
+            channels.map(|channel| channel.iter().map(|pixel| term(pixel, sharp)).collect())
         };
         std::array::from_fn(of_pair)
     };
     let terms: Vec<[PairTerms; SHARP_PICTURES]> =
         pictures.par_iter().zip(motions).map(terms).collect();
-    let distances = |channel: &Vec<Term>| {
-        let centre = median_residual(channel);
-        channel.iter().map(|t| (t.values[RESIDUAL] - centre).abs()).collect::<Vec<f64>>()
+    let sigma = deviation(terms.iter().flatten())?;
+    let of_picture = |pairs: &[PairTerms; SHARP_PICTURES]| {
+        pairs.each_ref().map(|terms| Products::new(terms, sigma))
     };
-    let pairs = terms.par_iter().flatten_iter();
-    let mut all: Vec<f64> = pairs.flat_map_iter(|pair| pair.iter().flat_map(distances)).collect();
-    let scale = LOSS_SCALE * SIGMA_PER_MEDIAN * median(&mut all)?;
-    let of_picture =
-        |pairs: &[PairTerms; SHARP_PICTURES]| pairs.each_ref().map(|t| products_of_pair(t, scale));
-    (scale > 0.0 && scale.is_finite()).then(|| terms.par_iter().map(of_picture).collect())
-}
-
-fn median_residual(channel: &[Term]) -> f64 {
-    let mut residuals: Vec<f64> = channel.iter().map(|term| term.values[RESIDUAL]).collect();
-    median(&mut residuals).unwrap_or(0.0)
-}
-
-fn products_of_pair(channels: &PairTerms, scale: f64) -> Products {
-    let mut products = Products::default();
-    for channel in channels.iter().filter(|channel| !channel.is_empty()) {
-        let centre = median_residual(channel);
-        let weight =
-            |term: &Term| (1.0 + ((term.values[RESIDUAL] - centre) / scale).powi(2)).powi(-2);
-        let total: f64 = channel.iter().map(weight).sum();
-        let mean: [f64; 4] = std::array::from_fn(|k| {
-            channel.iter().map(|term| weight(term) * term.values[k]).sum::<f64>() / total
-        });
-        for term in channel {
-            let w = weight(term);
-            for (instrument, row) in term.instruments.iter().zip(&mut products.0) {
-                // Means of the instruments count for nothing: those of the values are taken off.
-                (0..4).for_each(|k| row[k] += w * instrument * (term.values[k] - mean[k]));
-            }
-        }
-    }
-    products
+    Some(terms.par_iter().map(of_picture).collect())
 }
 
 #[cfg(test)]
@@ -339,8 +232,8 @@ mod tests {
             let random = noise(seed, MOMENTS);
             let sharp = [std::array::from_fn(|u| random[u]); SHARP_PICTURES];
             let pixel = BlurredPixel { blurred: 0.2, sharp };
-            let slope = [pixel.term(0, 0.8).values[POWER]];
-            let residual = |x: &[f64]| -pixel.term(0, x[0]).values[RESIDUAL];
+            let slope = [pixel.term(0, 0.8).derivatives[0]];
+            let residual = |x: &[f64]| -pixel.term(0, x[0]).residual;
             assert_gradient("power", &[0.8], &slope, 1e-5, 1e-6, residual);
         }
     }

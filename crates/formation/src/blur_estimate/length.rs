@@ -21,8 +21,7 @@
 //! with Geman and McClure's weights `w`. An error of the time of an exposure shifts its picture along its
 //! motion and is an unknown of each pair of pictures, as is `g` of each channel.
 
-use crate::response_estimate::MOMENTS;
-use i2slam_compute::{SIGMA_PER_MEDIAN, median};
+use super::{MOMENTS, MeanLight, PairTerms, Products, Term, deviation};
 
 /// Pictures that one is compared with.
 pub const PARTNERS: usize = 3;
@@ -33,10 +32,6 @@ const MIN_RESIDUALS: usize = 2000;
 const REPEATS: f64 = 3.0 * PARTNERS as f64;
 /// Steps of reweighted least squares.
 const STEPS: usize = 5;
-/// Scale of the weights, in robust deviations of the residuals.
-const LOSS_SCALE: f64 = 2.0;
-/// Added to the diagonal of the unknown times, over their sum.
-const RIDGE: f64 = 1e-6;
 
 /// A surface point in a picture whose motion is sought and in another one, in one channel: logarithms of
 /// linear values at even intervals of an exposure.
@@ -60,35 +55,13 @@ pub struct SquaredLength {
     pub deviation: f64,
 }
 
-/// Residual of a point, derivatives of what is predicted, and the instrument.
-type Term = [f64; TERMS];
-const TERMS: usize = 5;
-const RESIDUAL: usize = 0;
-const LENGTH: usize = 1;
-const TIMES: [usize; 2] = [2, 3];
-const INSTRUMENT: usize = 4;
-
-/// Terms of a pair of pictures by channel.
-type PairTerms = [Vec<Term>; 3];
-type Products = [[f64; TERMS]; TERMS];
-
 impl SharedPoint {
+    /// Without instrument of the squared length; the other unknowns are the times of both exposures.
     fn term(&self) -> Term {
-        let (own, own_ends) = log_mean(&self.own);
-        let (other, ends) = log_mean(&self.other);
-        let by_length = 0.5 * (0.5 * (ends[0] + ends[1]) - 1.0);
-        [own - other, by_length, ends[1] - ends[0], own_ends[1] - own_ends[0], 0.0]
+        let [own, other] = [&self.own, &self.other].map(|logs| MeanLight::new(logs, 1.0));
+        let derivatives = [0.5 * other.by_length, other.by_time, own.by_time];
+        Term { residual: own.log - other.log, derivatives, instruments: derivatives }
     }
-}
-
-/// Logarithm of the mean light, and the light at both ends of the exposure over it.
-fn log_mean(logs: &[f64; MOMENTS]) -> (f64, [f64; 2]) {
-    let light = logs.map(|log| (log - logs[0]).exp());
-    let mean = light.iter().sum::<f64>() / MOMENTS as f64;
-    // Half an interval beyond the first and the last moment.
-    let ends = [[0, 1], [MOMENTS - 1, MOMENTS - 2]]
-        .map(|[end, next]| (1.5 * light[end] - 0.5 * light[next]) / mean);
-    (logs[0] + mean.ln(), ends)
 }
 
 /// The squared length of a picture's motion that explains what it and others show at `points`, by channel;
@@ -100,23 +73,22 @@ pub fn squared_length(points: &[Vec<SurfacePoint>; 3]) -> Option<SquaredLength> 
     }
     let mut found = SquaredLength { ratio: 1.0, deviation: f64::INFINITY };
     for _ in 0..STEPS {
-        let sigma = deviation(&pairs)?;
-        let products: Vec<Products> =
-            pairs.iter().map(|pair| products_of_pair(pair, LOSS_SCALE * sigma)).collect();
-        let sum = |column| products.iter().map(|p| without_times(p, column)).sum::<f64>();
-        let slope = sum(LENGTH);
-        let step = sum(RESIDUAL) / slope;
+        let sigma = deviation(pairs.iter())?;
+        let products: Vec<Products> = pairs.iter().map(|pair| Products::new(pair, sigma)).collect();
+        let [gradient, slope] = products
+            .iter()
+            .map(Products::reduced)
+            .fold([0.0; 2], |sum, reduced| [sum[0] + reduced[0], sum[1] + reduced[1]]);
+        let step = gradient / slope;
         if !(step.is_finite() && slope > 0.0) {
             return None;
         }
         found.ratio += step;
-        found.deviation = sigma * (REPEATS * sum(INSTRUMENT)).max(0.0).sqrt() / slope;
+        let square: f64 = products.iter().map(Products::instrument_square).sum();
+        found.deviation = sigma * (REPEATS * square).sqrt() / slope;
         for (pair, products) in pairs.iter_mut().zip(&products) {
-            let times = explaining_times(products, |row| row[RESIDUAL] - step * row[LENGTH]);
-            for term in pair.iter_mut().flatten() {
-                let shift = times[0] * term[TIMES[0]] + times[1] * term[TIMES[1]];
-                term[RESIDUAL] -= step * term[LENGTH] + shift;
-            }
+            let steps = products.steps(step);
+            pair.iter_mut().flatten().for_each(|term| term.change(steps));
         }
     }
     Some(found)
@@ -129,75 +101,19 @@ fn terms(points: &[Vec<SurfacePoint>; 3]) -> Vec<PairTerms> {
         for point in points {
             let terms = point.map(|shared| shared.as_ref().map(SharedPoint::term));
             let seen = terms.iter().flatten().count();
-            let sum: f64 = terms.iter().flatten().map(|term| term[LENGTH]).sum();
+            let sum: f64 = terms.iter().flatten().map(|term| term.derivatives[0]).sum();
             if seen < 2 {
                 continue;
             }
             for (pair, term) in pairs.iter_mut().zip(terms) {
                 let Some(mut term) = term else { continue };
-                term[INSTRUMENT] = (sum - term[LENGTH]) / (seen - 1) as f64;
+                term.instruments[0] = (sum - term.derivatives[0]) / (seen - 1) as f64;
                 pair[channel].push(term);
             }
         }
     }
     pairs.retain(|pair| pair.iter().any(|channel| !channel.is_empty()));
     pairs
-}
-
-fn median_residual(channel: &[Term]) -> Option<f64> {
-    median(&mut channel.iter().map(|term| term[RESIDUAL]).collect::<Vec<f64>>())
-}
-
-/// Robust deviation of the residuals from the medians of their channels.
-fn deviation(pairs: &[PairTerms]) -> Option<f64> {
-    let mut all = Vec::new();
-    for channel in pairs.iter().flatten() {
-        let Some(centre) = median_residual(channel) else { continue };
-        all.extend(channel.iter().map(|term| (term[RESIDUAL] - centre).abs()));
-    }
-    let sigma = SIGMA_PER_MEDIAN * median(&mut all)?;
-    (sigma > 0.0 && sigma.is_finite()).then_some(sigma)
-}
-
-/// Weighted sums of the products of all terms, less their means in each channel.
-fn products_of_pair(channels: &PairTerms, scale: f64) -> Products {
-    let mut products = Products::default();
-    for channel in channels {
-        let Some(centre) = median_residual(channel) else { continue };
-        let weight = |term: &Term| (1.0 + ((term[RESIDUAL] - centre) / scale).powi(2)).powi(-2);
-        let total: f64 = channel.iter().map(weight).sum();
-        let mean: Term = std::array::from_fn(|k| {
-            channel.iter().map(|term| weight(term) * term[k]).sum::<f64>() / total
-        });
-        for term in channel {
-            let w = weight(term);
-            for (a, row) in products.iter_mut().enumerate() {
-                let left = w * (term[a] - mean[a]);
-                (0..TERMS).for_each(|b| row[b] += left * (term[b] - mean[b]));
-            }
-        }
-    }
-    products
-}
-
-/// Errors of the times of both exposures that explain a column of the products best.
-fn explaining_times(products: &Products, column: impl Fn(&Term) -> f64) -> [f64; 2] {
-    let [i, j] = TIMES;
-    let ridge = RIDGE * (products[i][i] + products[j][j]);
-    let (a, b, c) = (products[i][i] + ridge, products[i][j], products[j][j] + ridge);
-    let (first, second) = (column(&products[i]), column(&products[j]));
-    let determinant = a * c - b * b;
-    if determinant <= 0.0 {
-        return [0.0; 2];
-    }
-    [(c * first - b * second) / determinant, (a * second - b * first) / determinant]
-}
-
-/// `Σ w z v` of the instrument `z` and a column `v`, without what the times explain of them.
-fn without_times(products: &Products, column: usize) -> f64 {
-    let row = &products[INSTRUMENT];
-    let times = explaining_times(products, |row| row[column]);
-    row[column] - times[0] * row[TIMES[0]] - times[1] * row[TIMES[1]]
 }
 
 #[cfg(test)]
@@ -316,7 +232,7 @@ mod tests {
                 own: [0.0; MOMENTS],
                 other: std::array::from_fn(|m| sample(m as u32)),
             };
-            let slope = [shared.term()[LENGTH]];
+            let slope = [shared.term().derivatives[0]];
             let by_length = |s: &[f64]| surface.at(place, 2.0 * s[0].sqrt());
             assert_gradient("length", &[1.0], &slope, 1e-4, 0.05, by_length);
         }
