@@ -48,3 +48,51 @@ impl Session {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::posed_tests::{posed_on_path, unfinished};
+    use super::*;
+    use i2slam_formation::CentreVelocity;
+    use i2slam_geometry::Tangent;
+
+    /// Motions of all keyframes during their exposures.
+    fn motions(session: &Session) -> Vec<Tangent<f64>> {
+        session.frames().iter().map(|f| CentreVelocity::from(f.shutter).velocity).collect()
+    }
+
+    fn distance(a: Tangent<f64>, b: Tangent<f64>) -> f64 {
+        a.plus(b.scaled(-1.0)).to_array().into_iter().map(f64::abs).fold(0.0, f64::max)
+    }
+
+    #[test]
+    fn a_motion_that_was_found_is_neither_stepped_nor_aligned() {
+        let mut session = unfinished(true, 0.0);
+        session.state.keyframes[1].has_found_motion = true;
+        session.state.frames[1].blur_length = 7.0;
+        let before = motions(&session);
+        let (mapper, tracker, mut context) = session.mapping();
+        mapper.refine_all(&mut context, (0..12, 12), &mut |_| true);
+        tracker.relocalize(mapper, &mut context);
+        let after = motions(&session);
+        let moved: Vec<bool> =
+            before.iter().zip(&after).map(|(a, b)| distance(*a, *b) > 1e-9).collect();
+        assert_eq!(moved[1..], [false, true, true]);
+        assert_eq!(session.frames()[1].blur_length, 7.0);
+        // A keyframe that is replaced has a motion of its own.
+        session.add_keyframe(posed_on_path(2, true)).expect("a keyframe of that size");
+        assert!(session.state.keyframes.iter().all(|keyframe| !keyframe.has_found_motion));
+    }
+
+    #[test]
+    fn motions_are_not_sought_without_blur_or_of_photographs() {
+        for is_unordered in [false, true] {
+            let mut session = unfinished(true, 0.0);
+            session.set_unordered(is_unordered);
+            session.config.formation.blur = is_unordered;
+            let before = motions(&session);
+            session.find_motions();
+            assert_eq!(motions(&session), before);
+        }
+    }
+}

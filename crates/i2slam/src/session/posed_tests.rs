@@ -296,7 +296,7 @@ fn rolling_session(with_depth: bool, readout: f64) -> Session {
 }
 
 /// A session before its final optimisation.
-fn unfinished(with_depth: bool, readout: f64) -> Session {
+pub(super) fn unfinished(with_depth: bool, readout: f64) -> Session {
     let mut config = Config::preset("default-rgb").expect("known");
     config = config.with_found_readout(readout);
     (config.mapping.iterations, config.mapping.final_iterations) = (15, 60);

@@ -77,7 +77,7 @@ const MAX_KNOWN_GAP: f64 = 1e5;
 /// picture: photographs held by hand show blur of one to some percent.
 const UNKNOWN_MOTION_RATIO: f64 = 0.05;
 
-/// Motion found by comparison with other photographs below which it is not told from none [px], and its
+/// Motion found by comparison with other pictures below which it is not told from none [px], and its
 /// deviation, which grows with its length.
 const MIN_EXPOSURE_MOTION_PX: f64 = 1.0;
 const EXPOSURE_MOTION_SIGMA_PX: f64 = 0.5;
@@ -225,7 +225,7 @@ impl FrameAlignment<'_> {
         }
     }
 
-    /// The motion found by comparison with other photographs, where it is longer than its error.
+    /// The motion found by comparison with other pictures, where it is longer than its error.
     fn exposure_motion(&self) -> Option<Tangent<f64>> {
         let found = self.context.exposure_motion;
         found.filter(|motion| self.norm_in_pixels(*motion) >= MIN_EXPOSURE_MOTION_PX)
