@@ -1,5 +1,6 @@
 //! Errors of the odometry.
 
+use i2slam_geometry::Image;
 use thiserror::Error;
 
 /// Reason why there is no camera path.
@@ -116,4 +117,27 @@ pub enum PictureError {
         /// Timestamp of the one before [s].
         last: f64,
     },
+}
+
+impl PictureError {
+    /// Refuses a picture that is not of the `expected` size, has a side shorter than `least` pixels, or no
+    /// colour or grey planes of that size.
+    pub(crate) fn check(
+        picture: &Image<f32>,
+        expected: [usize; 2],
+        least: usize,
+    ) -> Result<(), Self> {
+        let size = [picture.width, picture.height];
+        if size != expected {
+            return Err(Self::Size { size, expected });
+        }
+        if size[0].min(size[1]) < least {
+            return Err(Self::TooSmall { size, least });
+        }
+        let (channels, values) = (picture.channels, picture.data.len());
+        match matches!(channels, 1 | 3) && values == picture.pixels() * channels {
+            true => Ok(()),
+            false => Err(Self::Planes { channels, values }),
+        }
+    }
 }

@@ -126,17 +126,8 @@ impl FrontEnd {
         depth: Option<&DepthPicture<'_>>,
     ) -> Result<FrameUpdate, PictureError> {
         let camera = self.intrinsics.camera();
-        let (size, expected) = ([picture.width, picture.height], [camera.width, camera.height]);
-        if size != expected {
-            return Err(PictureError::Size { size, expected });
-        }
-        if size[0].min(size[1]) < MIN_SIDE {
-            return Err(PictureError::TooSmall { size, least: MIN_SIDE });
-        }
-        let (channels, values) = (picture.channels, picture.data.len());
-        if !matches!(channels, 1 | 3) || values != picture.pixels() * channels {
-            return Err(PictureError::Planes { channels, values });
-        }
+        let expected = [camera.width, camera.height];
+        PictureError::check(picture, expected, MIN_SIDE)?;
         let last = self.map.state.timestamps.last().copied().unwrap_or(f64::NEG_INFINITY);
         if !timestamp.is_finite() || timestamp <= last {
             return Err(PictureError::Stamp { timestamp, last });

@@ -21,7 +21,7 @@ pub struct Metrics {
     pub degraded: bool,
     /// Why it is degraded, a sentence each.
     pub degraded_because: Vec<String>,
-    /// Whether the frames are photographs in any order, whose time stamps tell nothing.
+    /// True if the frames are photographs in any order, whose time stamps tell nothing.
     pub unordered: bool,
     /// Frames processed.
     pub frames: usize,

@@ -92,7 +92,7 @@ pub(crate) struct Listing {
     pub(crate) dropped: DroppedFrames,
     /// Whether frames too close in time are dropped.
     pub(crate) is_thinned: bool,
-    /// Whether no time stamps are there, so that frames count as equally far apart.
+    /// True if no time stamps are there, so that frames count as equally far apart.
     pub(crate) are_times_assumed: bool,
     /// Ground-truth file of the folder, not yet read.
     pub(crate) ground_truth: Option<PathBuf>,

@@ -48,7 +48,7 @@ pub struct Sequence {
     pub camera: Camera<f64>,
     /// Median frames a second of the associated stream (not divided by the stride).
     pub frame_rate: f64,
-    /// Whether neither time stamps nor a frame rate were recorded, so that frames count as
+    /// True if neither time stamps nor a frame rate were recorded, so that frames count as
     /// 30 a second.
     pub are_times_assumed: bool,
     /// Depth image value of one metre.

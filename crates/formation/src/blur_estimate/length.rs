@@ -203,7 +203,7 @@ mod tests {
         }
     }
 
-    /// The same noise in derivative and residual lengthens the motion.
+    /// Noise that derivative and residual have in common lengthens the motion.
     #[test]
     fn an_instrument_needs_noise_of_its_own() {
         let [apart, same] =

@@ -133,7 +133,7 @@ impl Products {
         products
     }
 
-    /// What the unknowns of the pair explain of a column of products.
+    /// Unknowns of the pair that explain a column of products best.
     fn of_pair(&self, column: [f64; UNKNOWNS]) -> [f64; 2] {
         let [_, [_, a, b], [_, c, d]] = self.derivatives;
         let ridge = RIDGE * (a.abs() + d.abs());

@@ -119,7 +119,7 @@ pub fn estimate_power(pictures: &[BlurredPicture]) -> Option<PowerEstimate> {
     (is_inside && estimate.deviation.is_finite()).then_some(estimate)
 }
 
-/// What is wrong with the exposure of a blurred picture, in exposures.
+/// Errors of the exposure of a blurred picture, in exposures.
 #[derive(Clone, Copy, Default)]
 struct Motion {
     length: f64,

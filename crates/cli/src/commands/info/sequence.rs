@@ -38,7 +38,7 @@ pub(super) struct TimeInfo {
     pub(super) first_s: f64,
     pub(super) duration_s: f64,
     pub(super) frames_per_second: f64,
-    /// Whether none were recorded, so that these are counted at an assumed frame rate.
+    /// True if none were recorded, so that these are counted at an assumed frame rate.
     pub(super) are_assumed: bool,
     /// Gaps of at least 1.5 median gaps.
     pub(super) gaps: Vec<Gap>,
