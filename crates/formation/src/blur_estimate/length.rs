@@ -1,7 +1,7 @@
 //! Length of the motion during an exposure, from pictures of one surface.
 //!
 //! A map that was made of blurred pictures is blurred itself, and explains them by too short a motion.
-//! Two pictures tell it without a map, because blurs commute: with `m_A` and `m_B` the motions of a
+//! Two pictures tell it without the colours of a map, because blurs commute: with `m_A` and `m_B` the motions of a
 //! surface point through pictures `A` and `B` while the shutter is open, and `g` the gain between them,
 //!
 //! ```text

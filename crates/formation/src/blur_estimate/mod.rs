@@ -110,15 +110,15 @@ impl Products {
         for channel in channels.iter().filter(|channel| !channel.is_empty()) {
             let (centre, scale) = (median_residual(channel), LOSS_SCALE * sigma);
             let weight = |term: &Term| (1.0 + ((term.residual - centre) / scale).powi(2)).powi(-2);
-            let total: f64 = channel.iter().map(weight).sum();
+            let weights: Vec<f64> = channel.iter().map(weight).collect();
+            let total: f64 = weights.iter().sum();
             let mean = |value: &dyn Fn(&Term) -> f64| {
-                channel.iter().map(|term| weight(term) * value(term)).sum::<f64>() / total
+                weights.iter().zip(channel).map(|(w, term)| w * value(term)).sum::<f64>() / total
             };
             let residual = mean(&|term| term.residual);
             let derivatives: [f64; UNKNOWNS] = std::array::from_fn(|k| mean(&|t| t.derivatives[k]));
             let instruments: [f64; UNKNOWNS] = std::array::from_fn(|k| mean(&|t| t.instruments[k]));
-            for term in channel {
-                let w = weight(term);
+            for (w, term) in weights.iter().zip(channel) {
                 for (row, instrument) in term.instruments.iter().enumerate() {
                     let left = w * (instrument - instruments[row]);
                     products.residual[row] += left * (term.residual - residual);

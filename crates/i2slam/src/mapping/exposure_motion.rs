@@ -206,7 +206,7 @@ impl MotionStart {
     }
 }
 
-/// What pictures of keyframes are compared by.
+/// Camera and response by which pictures of keyframes are compared.
 struct Pictures<'a> {
     camera: &'a Camera<f64>,
     valid_mask: Option<&'a Image<bool>>,
@@ -267,8 +267,8 @@ impl Pictures<'_> {
     }
 }
 
-/// What the first picture shows of a surface point at its pixel along the motion of the second, and the
-/// second along the motion of the first; `None` where either does not show all of it.
+/// Samples of the first picture around a surface point at its pixel along the motion of the second, and of
+/// the second along the motion of the first; `None` where either does not show all of it.
 fn samples(
     [own, other]: [&View; 2],
     camera: &Camera<f64>,

@@ -238,7 +238,7 @@ impl View {
         (z > 0.0).then(|| self.world_from_camera * (moved * camera.unproject(u, v, z)))
     }
 
-    /// Where the picture shows a point of the world; `None` where it is hidden or outside.
+    /// Place of a point of the world in the picture; `None` where it is hidden or outside.
     pub(super) fn place_of(
         &self,
         camera: &Camera<f64>,

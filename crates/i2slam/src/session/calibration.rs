@@ -1,4 +1,4 @@
-//! What comparisons of keyframes find: response, vignetting, white balance, motion during exposures.
+//! Response, vignetting, white balance and motion during exposures, from comparisons of keyframes.
 
 use super::Session;
 use crate::mapping::{
