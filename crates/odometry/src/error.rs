@@ -1,5 +1,6 @@
 //! Errors of the odometry.
 
+use crate::depth::depth_map::DepthPicture;
 use i2slam_geometry::Image;
 use thiserror::Error;
 
@@ -138,6 +139,22 @@ impl PictureError {
         match matches!(channels, 1 | 3) && values == picture.pixels() * channels {
             true => Ok(()),
             false => Err(Self::Planes { channels, values }),
+        }
+    }
+
+    /// Refuses measured depth that is not one plane of the `expected` size, or has no time stamp.
+    pub(crate) fn check_depth(
+        &DepthPicture { depth, timestamp }: &DepthPicture<'_>,
+        expected: [usize; 2],
+    ) -> Result<(), Self> {
+        let (channels, values) = (depth.channels, depth.data.len());
+        let size = [depth.width, depth.height];
+        if size != expected || channels != 1 || values != depth.pixels() {
+            return Err(Self::Depth { size, expected });
+        }
+        match timestamp.is_finite() {
+            true => Ok(()),
+            false => Err(Self::DepthStamp { timestamp }),
         }
     }
 }

@@ -11,7 +11,8 @@ use crate::features::collection::PhotoCollection;
 use crate::intrinsics::focal_length::{Intrinsics, search_focal_length};
 use crate::intrinsics::observability::drop_unobservable_distortion;
 use crate::loops::loop_closure::{close_loops, merge_overlapping_keyframes};
-use crate::online::online_map::{OnlineMap, TrackingStatus};
+use crate::online::frame_update::FrameUpdate;
+use crate::online::online_map::OnlineMap;
 use crate::progress::{Progress, Stage};
 use crate::register::approximate_poses::{
     in_unit_of_path, place_unsupported, register_near, take_given_poses,
@@ -63,27 +64,6 @@ pub struct FrontEnd {
     scratch: Arc<ScratchStore>,
 }
 
-/// Pose and status of a frame at the time when it came.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct FrameUpdate {
-    /// Its index among the accepted pictures.
-    pub frame: usize,
-    /// `world_from_camera` at mid-exposure, where it is known. With depth the world is the first
-    /// keyframe, and the unit the metre from the moment on when enough depth was read. By colour alone
-    /// both are arbitrary; corrections leave them where they fit the poses given before best.
-    pub pose: Option<Pose<f64>>,
-    /// Status of the pose.
-    pub status: TrackingStatus,
-    /// The picture shows another scene than the one before.
-    pub is_cut: bool,
-    /// The picture became a keyframe. None is made where an old one shows the same view; by colour
-    /// alone that counts in long recordings.
-    pub is_keyframe: bool,
-    /// The keyframe before this picture was joined to a place that was seen much earlier, and all
-    /// keyframes were adjusted to it.
-    pub is_loop_closed: bool,
-}
-
 impl FrontEnd {
     /// A front end for pictures of one camera.
     pub fn new(intrinsics: Intrinsics) -> Self {
@@ -125,6 +105,30 @@ impl FrontEnd {
         timestamp: f64,
         depth: Option<&DepthPicture<'_>>,
     ) -> Result<FrameUpdate, PictureError> {
+        self.push_frame((picture, false), timestamp, depth)
+    }
+
+    /// [`push`](Self::push) of a picture that is held out of the map to be made: it becomes a keyframe only
+    /// where tracking needs one and no picture after it could be one in time.
+    ///
+    /// # Errors
+    ///
+    /// As [`push`](Self::push).
+    pub fn push_held_out(
+        &mut self,
+        picture: &Image<f32>,
+        timestamp: f64,
+        depth: Option<&DepthPicture<'_>>,
+    ) -> Result<FrameUpdate, PictureError> {
+        self.push_frame((picture, true), timestamp, depth)
+    }
+
+    fn push_frame(
+        &mut self,
+        (picture, is_held_out): (&Image<f32>, bool),
+        timestamp: f64,
+        depth: Option<&DepthPicture<'_>>,
+    ) -> Result<FrameUpdate, PictureError> {
         let camera = self.intrinsics.camera();
         let expected = [camera.width, camera.height];
         PictureError::check(picture, expected, MIN_SIDE)?;
@@ -132,21 +136,12 @@ impl FrontEnd {
         if !timestamp.is_finite() || timestamp <= last {
             return Err(PictureError::Stamp { timestamp, last });
         }
-        if let Some(&DepthPicture { depth, timestamp }) = depth {
-            let (channels, values) = (depth.channels, depth.data.len());
-            let size = [depth.width, depth.height];
-            if size != expected || channels != 1 || values != depth.pixels() {
-                return Err(PictureError::Depth { size, expected });
-            }
-            if !timestamp.is_finite() {
-                return Err(PictureError::DepthStamp { timestamp });
-            }
-        }
+        depth.map_or(Ok(()), |depth| PictureError::check_depth(depth, expected))?;
         self.picture_checks.add(picture);
         let depth = depth.filter(|depth| self.is_in_time(depth.timestamp - timestamp));
         // Points are followed without the map, and the map grows by pictures that were tracked already.
         let (tracked, is_loop_closed) =
-            rayon::join(|| self.tracker.track(picture), || self.map.extend());
+            rayon::join(|| self.tracker.track(picture, is_held_out), || self.map.extend());
         self.map.state.add_input(picture, timestamp, depth, &self.scratch);
         let (frame, is_cut) = (self.map.state.poses.len(), tracked.is_cut);
         let is_own = !self.picture_checks.is_repeat[frame] && !self.picture_checks.is_blank[frame];

@@ -110,6 +110,7 @@ mod relocalize {
 }
 
 mod online {
+    pub(crate) mod frame_update;
     mod map_restart;
     pub(crate) mod online_map;
     pub(crate) mod path_alignment;
@@ -148,9 +149,9 @@ pub use depth::registration::register_depth;
 pub use depth::sensor_model::DepthModel;
 pub use diagnosis::pictures::blank_reason;
 pub use error::{OdometryError, PictureError};
-pub use front_end::{FrameUpdate, FrontEnd, MIN_FRAMES, MIN_POSED_SHARE, MIN_SIDE};
+pub use front_end::{FrontEnd, MIN_FRAMES, MIN_POSED_SHARE, MIN_SIDE};
 pub use intrinsics::focal_length::Intrinsics;
-pub use online::online_map::TrackingStatus;
+pub use online::frame_update::{FrameUpdate, TrackingStatus};
 pub use online::path_alignment::align_path;
 pub use pose_deviation::{MIN_NEIGHBOURS, NEIGHBOUR_WINDOW, PoseDeviation};
 pub use progress::{Progress, Stage};

@@ -4,12 +4,14 @@
 //! [`Parameters`]; values that all presets share are constants beside the code that uses them.
 
 mod file;
+mod hold_out;
 mod parameters;
 mod presets;
 mod ranges;
 mod validate;
 
 pub use file::line_of_key;
+pub(crate) use hold_out::HoldOut;
 pub use parameters::{
     FieldParameters, FrameParameters, GaussianParameters, KeyframedParameters, Parameters,
     TrackingParameters,
@@ -232,8 +234,8 @@ section! {
         /// Steps after the last frame, over all keyframes, fewer of few keyframes: at most 25 of each.
         /// SplaTAM: none.
         final_iterations: usize,
-        /// Hold out every n-th frame: tracked, but never mapped, for `eval --protocol held-out`. At
-        /// least 2; 0 holds none out.
+        /// Hold out every n-th frame, of imported keyframes every n-th of these: tracked, but never mapped,
+        /// for `eval --protocol held-out`. At least 2; 0 holds none out.
         hold_out: usize,
         /// Numbers of single frames that are held out too, as lists of benchmarks give them.
         hold_out_frames: Vec<usize>,

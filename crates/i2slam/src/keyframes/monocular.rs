@@ -6,6 +6,7 @@ use super::delivery::{
     MEDIAN_DEPTH, depth, into_estimated, keyframe_pictures, measured_depth, posed, posed_view,
 };
 use super::{KeyframeSource, PictureError, PosedKeyframe};
+use crate::config::HoldOut;
 use i2slam_compute::CancellationToken;
 use i2slam_dataset::Frame;
 use i2slam_geometry::{Camera, Pose, StampedPose, Tangent, Vec3};
@@ -97,6 +98,7 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
         mut load: L,
         progress: &OdometryProgress,
     ) -> Result<Self, MonocularError> {
+        let intrinsics = (intrinsics, HoldOut::default());
         TrackedPictures::track(intrinsics, count, &mut load, progress, |_, _, _| {})
             .finish_near(poses, load, progress)
     }

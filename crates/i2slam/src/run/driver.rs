@@ -4,10 +4,10 @@ use super::camera::CameraEstimate;
 use super::error::{RunError, catch_panic};
 use super::observer::RunContext;
 use super::{PoseSource, RunOptions, RunOutcome, Stage, shortfall};
-use crate::config::{Parameters, TrackingMethod};
+use crate::config::{HoldOut, MappingConfig, Parameters, TrackingMethod};
 use crate::keyframes::{PictureError, PosedKeyframe};
 use crate::reconstruction::{FrameEstimate, Reconstruction};
-use crate::session::{HoldOut, MappedFrames, Session, SessionError};
+use crate::session::{MappedFrames, Session, SessionError};
 use crate::warning::Warning;
 use i2slam_dataset::{Frame, Sequence};
 use i2slam_geometry::{Camera, Pose, StampedPose};
@@ -136,7 +136,8 @@ pub(super) fn run<'a>(
             let pictures = input.undistorted.as_ref().unwrap_or(sequence);
             let source = ((input.camera, input.frame_rate), pictures);
             let session = new_session(input.kind, options, context, source);
-            (session, HoldOut::default(), 0, Vec::new())
+            let hold_out = hold_out(&options.config.mapping, &input, sequence);
+            (session, hold_out, 0, Vec::new())
         }
     };
     context.observer.progress(input.kind.stage, before, before + input.count);
@@ -189,7 +190,7 @@ pub(super) fn run<'a>(
     if complete {
         shortfalls.extend(shortfall::of_holding_out(
             session.mapping_settings(),
-            (number, input.kind.name),
+            (number, if input.estimate.is_some() { FRAMES.name } else { input.kind.name }),
         ));
         shortfalls.extend(shortfall::of_readout(session.is_readout_missing()));
         shortfalls.extend(few_poses.flatten());
@@ -250,6 +251,16 @@ pub(super) fn new_session(
     session
 }
 
+/// Which items are held out: of a path from pictures those whose frames are, which the front end has avoided
+/// as keyframes; else each counts by itself.
+fn hold_out(mapping: &MappingConfig, input: &Input<'_>, sequence: &Sequence) -> HoldOut {
+    let mut hold_out = HoldOut::new(mapping);
+    if input.estimate.is_some() {
+        sequence.entries.iter().for_each(|entry| _ = hold_out.holds_out(entry.index));
+    }
+    hold_out
+}
+
 struct Driver<'a, 'b> {
     session: Session,
     input: Input<'a>,
@@ -304,7 +315,7 @@ impl Driver<'_, '_> {
                 )
             }
             Item::Keyframe(keyframe) => {
-                if self.hold_out.holds_out(keyframe.index, self.session.mapping_settings()) {
+                if self.hold_out.holds_out(keyframe.index) {
                     self.held_out.push_back(*keyframe);
                     return Ok(());
                 }

@@ -9,7 +9,7 @@ use super::observer::{Observer, RunContext, Stage};
 use super::online;
 use super::preview::MapPreview;
 use super::stream::TrackedFrames;
-use crate::config::{MapKind, TrackingMethod};
+use crate::config::{HoldOut, MapKind, TrackingMethod};
 use crate::keyframes::{
     self, BoxedLoader, ImportDepth, ImportOptions, Intrinsics, KeyframeSource, MonocularError,
     MonocularSource, OdometryError, OdometryProgress, OdometryWarning, PictureError, RefinedImport,
@@ -177,7 +177,8 @@ fn find_path(
             }
         };
         let intrinsics = intrinsics(&large, estimate_distortion);
-        TrackedPictures::track(intrinsics, count, load, &progress, on_tracked)
+        let hold_out = HoldOut::new(&options.config.mapping);
+        TrackedPictures::track((intrinsics, hold_out), count, load, &progress, on_tracked)
     };
     let load: BoxedLoader = Box::new(move |place| picture(&large, place));
     match tracked.finish(load, &progress) {

@@ -7,6 +7,7 @@ use super::observer::{Observer, RunContext, Stage};
 use super::online::{self, OnlineFrames};
 use super::preview::MapPreview;
 use super::{PoseSource, RunError, RunOptions, has_small_pictures};
+use crate::config::HoldOut;
 use crate::keyframes::{self, GivenPictures, TrackedPictures};
 use i2slam_dataset::{Frame, LiveSequence, Sequence};
 use i2slam_geometry::StampedPose;
@@ -71,7 +72,10 @@ impl TrackedStream {
                 let frames = OnlineFrames::start(sizes, options, &context);
                 TrackedFrames::Mapped(Box::new(frames))
             }
-            false => TrackedFrames::Unmapped(Box::new(TrackedPictures::new(camera))),
+            false => {
+                let hold_out = HoldOut::new(&options.config.mapping);
+                TrackedFrames::Unmapped(Box::new(TrackedPictures::new(camera, hold_out)))
+            }
         };
         let mut preview = match is_mapped {
             true => None,

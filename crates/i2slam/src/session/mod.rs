@@ -4,7 +4,6 @@ mod calibration;
 mod correction;
 mod error;
 mod frame_tracker;
-mod hold_out;
 mod online;
 mod posed;
 mod runtime_estimate;
@@ -12,7 +11,6 @@ mod state;
 mod tracked;
 
 pub use error::SessionError;
-pub(crate) use hold_out::HoldOut;
 pub(crate) use online::{MappedFrames, OnlineMapping};
 pub use online::{MappingPanicked, OnlineError, OnlineSession, OnlineUpdate};
 pub use runtime_estimate::RuntimeEstimate;

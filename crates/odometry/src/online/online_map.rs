@@ -4,6 +4,7 @@
 //! takes it; a keyframe brings new landmarks, and the keyframes around it are adjusted. Frames
 //! between keyframes move with the one before them.
 
+use super::frame_update::TrackingStatus;
 use crate::depth::readings::{read_depth_at_prediction, read_depth_in};
 use crate::depth::scale::scale_to_readings;
 use crate::loops::loop_closure::close_last_loop;
@@ -37,17 +38,6 @@ const MAX_ALWAYS_ADJUSTED_KEYFRAMES: usize = 30;
 /// Keyframes after a loop before another is looked for: each takes an adjustment of all keyframes, and
 /// what follows sees the same place.
 const LOOP_PAUSE: usize = 8;
-
-/// Knowledge of the pose of a frame at the time when it came.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum TrackingStatus {
-    /// There is no map yet, or by colour alone none that holds.
-    Initializing,
-    /// Registered to the map.
-    Tracked,
-    /// The picture shows nothing of the map.
-    Lost,
-}
 
 /// The map so far.
 #[derive(Clone, Debug)]

@@ -33,7 +33,8 @@ pub(crate) const KEYFRAME_INTERVAL: usize = 8;
 const MIN_KEYFRAME_MOTION: f32 = 0.006;
 /// Frames before a keyframe through which its new points are tracked backward.
 pub(crate) const BACKWARD_FRAMES: usize = 16;
-/// A keyframe waits for a frame of this ratio of the median sharpness, for so many frames.
+/// A keyframe waits for a frame of this ratio of the median sharpness that is not held out, for so many
+/// frames.
 const MIN_KEYFRAME_SHARPNESS: f32 = 0.85;
 const MAX_KEYFRAME_DELAY: usize = 3;
 /// Pictures whose median sharpness is the usual one.
@@ -111,8 +112,9 @@ pub(crate) struct Tracker {
 }
 
 impl Tracker {
-    /// Tracks all points into the next picture.
-    pub(crate) fn track(&mut self, picture: &Image<f32>) -> TrackedFrame {
+    /// Tracks all points into the next picture. One that is held out of maps becomes a keyframe only where
+    /// none of the pictures after it could be one in time.
+    pub(crate) fn track(&mut self, picture: &Image<f32>, is_held_out: bool) -> TrackedFrame {
         let frame = self.frames;
         let pyramid = Arc::new(Pyramid::new(picture));
         let mut next = TrackedPicture { pyramid, shift: [0.0; 2], blur: [0.0; 2] };
@@ -122,7 +124,7 @@ impl Tracker {
         if self.sharpness.len() > SHARPNESS_FRAMES {
             self.sharpness.pop_front();
         }
-        if frame == 0 || tracked.is_cut || self.keyframe_is_due(image) {
+        if frame == 0 || tracked.is_cut || self.keyframe_is_due(image, is_held_out) {
             tracked.started = self.begin_keyframe(&next, frame);
             tracked.keyframe = Some(Arc::new(KeyframeImage::new(&next.pyramid, frame)));
         }
@@ -235,7 +237,7 @@ impl Tracker {
     }
 
     /// Whether enough has changed, and the picture is sharp enough to start points in.
-    fn keyframe_is_due(&mut self, image: &Image<f32>) -> bool {
+    fn keyframe_is_due(&mut self, image: &Image<f32>, is_held_out: bool) -> bool {
         let is_measured = |p: &&TrackedPoint| p.hidden_frames == 0;
         let moved = |p: &TrackedPoint| {
             p.at_keyframe.map(|k| (p.warp.centre[0] - k[0]).hypot(p.warp.centre[1] - k[1]))
@@ -258,7 +260,8 @@ impl Tracker {
         self.frames_due += 1;
         let usual = median(&mut Vec::from_iter(self.sharpness.iter().copied())).unwrap_or(0.0);
         let now = self.sharpness.back().copied().unwrap_or(0.0);
-        now >= MIN_KEYFRAME_SHARPNESS * usual || self.frames_due > MAX_KEYFRAME_DELAY
+        let is_good = now >= MIN_KEYFRAME_SHARPNESS * usual && !is_held_out;
+        is_good || self.frames_due > MAX_KEYFRAME_DELAY
     }
 
     /// Whether a picture has too few points and corners for a keyframe.
@@ -394,7 +397,8 @@ mod tests {
         let room = picture(|i, j| 0.5 + 0.3 * wave(i, j));
         for spread in [0.0, 0.002] {
             let mut tracker = Tracker::default();
-            let mut is_keyframe = |picture: &Image<f32>| tracker.track(picture).keyframe.is_some();
+            let mut is_keyframe =
+                |picture: &Image<f32>| tracker.track(picture, false).keyframe.is_some();
             assert!(is_keyframe(&room));
             let of_noise = |seed| {
                 let n = noise(seed, 96 * 72);
@@ -404,5 +408,26 @@ mod tests {
             assert!(keyframes <= 1, "{keyframes}");
             assert!((0..=MAX_KEYFRAME_DELAY).any(|_| is_keyframe(&room)));
         }
+    }
+
+    /// Of pictures that move, those held out are keyframes only where all are.
+    #[test]
+    fn pictures_that_are_held_out_are_no_keyframes() {
+        let wave = |i: f32, j: f32| (0.7 * i).sin() * (0.6 * j).cos() + (0.23 * i + 0.31 * j).sin();
+        let keyframes = |is_held_out: &dyn Fn(usize) -> bool| -> Vec<usize> {
+            let mut tracker = Tracker::default();
+            let mut is_keyframe = |number: usize| {
+                let moved = 2.0 * number as f32;
+                let picture = picture(|i, j| 0.5 + 0.15 * wave(i as f32 + moved, j as f32));
+                tracker.track(&picture, is_held_out(number)).keyframe.is_some()
+            };
+            (0..40).filter(|number| is_keyframe(*number)).collect()
+        };
+        let (free, even) = (keyframes(&|_| false), keyframes(&|number| number % 2 == 0));
+        assert!(free[1..].iter().any(|number| number % 2 == 0), "{free:?}");
+        assert!(even[1..].iter().all(|number| number % 2 == 1), "{even:?}");
+        assert!(2 * even.len() > free.len(), "{free:?} {even:?}");
+        let last = keyframes(&|number| number > 0);
+        assert!(last.len() > 2 && last.len() <= free.len(), "{free:?} {last:?}");
     }
 }

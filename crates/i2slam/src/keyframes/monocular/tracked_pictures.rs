@@ -2,6 +2,7 @@
 
 use super::super::PictureError;
 use super::{MonocularError, MonocularSource, in_usual_unit};
+use crate::config::HoldOut;
 use i2slam_dataset::Frame;
 use i2slam_geometry::{Camera, Pose};
 use i2slam_odometry::{
@@ -52,13 +53,14 @@ impl GivenPictures {
 /// Visual odometry that has tracked pictures, and finds their path when there are no more.
 pub(crate) struct TrackedPictures {
     front_end: FrontEnd,
+    hold_out: HoldOut,
     pub(crate) given: GivenPictures,
 }
 
 impl TrackedPictures {
     /// None so far.
-    pub(crate) fn new(intrinsics: Intrinsics) -> Self {
-        Self { front_end: FrontEnd::new(intrinsics), given: GivenPictures::default() }
+    pub(crate) fn new(intrinsics: Intrinsics, hold_out: HoldOut) -> Self {
+        Self { front_end: FrontEnd::new(intrinsics), hold_out, given: GivenPictures::default() }
     }
 
     /// Camera with which the last poses were found.
@@ -69,13 +71,13 @@ impl TrackedPictures {
     /// Tracks `count` pictures, until `progress` is cancelled: `load` reads the one at a position,
     /// `on_tracked` sees what the front end makes of it.
     pub(crate) fn track(
-        intrinsics: Intrinsics,
+        (intrinsics, hold_out): (Intrinsics, HoldOut),
         count: usize,
         mut load: impl FnMut(usize) -> Result<Frame, PictureError>,
         progress: &OdometryProgress,
         mut on_tracked: impl FnMut(&FrontEnd, &FrameUpdate, &Frame),
     ) -> Self {
-        let mut tracked = Self::new(intrinsics);
+        let mut tracked = Self::new(intrinsics, hold_out);
         let given = GivenPictures::give(count, progress, |position| {
             let picture = load(position)?;
             let update = tracked.track_next(&picture)?;
@@ -101,7 +103,11 @@ impl TrackedPictures {
 
     fn track_next(&mut self, picture: &Frame) -> Result<FrameUpdate, PictureError> {
         let depth = depth_picture(picture);
-        Ok(self.front_end.push(&picture.colour, picture.timestamp, depth.as_ref())?)
+        let (colour, timestamp) = (&picture.colour, picture.timestamp);
+        Ok(match self.hold_out.holds_out(picture.index) {
+            true => self.front_end.push_held_out(colour, timestamp, depth.as_ref())?,
+            false => self.front_end.push(colour, timestamp, depth.as_ref())?,
+        })
     }
 
     /// Finds the path of all pictures; `load` reads those of keyframes again, in order.

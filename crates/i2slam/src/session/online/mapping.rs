@@ -1,10 +1,9 @@
 //! Frames on their way from the front end to the map.
 
-use super::super::hold_out::HoldOut;
 use super::super::{Session, SessionError};
 use super::queue::{BetweenJob, Job, KeyframeJob, MappingPanicked, MappingQueue, OnMapped};
 use super::registration::{Registration, image_speed};
-use crate::config::{MapKind, MappingConfig};
+use crate::config::{HoldOut, MapKind, MappingConfig};
 use crate::keyframes::PosedKeyframe;
 use crate::keyframes::delivery::{MEDIAN_DEPTH, keyframe_pictures, measured_depth, posed};
 use i2slam_dataset::Frame;
@@ -115,13 +114,13 @@ impl OnlineMapping {
         Self {
             size: (width, height),
             maps_between: session.config.map.kind == MapKind::Gaussian,
+            hold_out: HoldOut::new(&session.config.mapping),
             mapping: session.config.mapping.clone(),
             queue: MappingQueue::new(session, tracking, on_mapped),
             waiting: VecDeque::new(),
             gauge: None,
             sent: BTreeMap::new(),
             steps: 0,
-            hold_out: HoldOut::default(),
             registration: Registration::default(),
         }
     }
@@ -149,6 +148,8 @@ impl OnlineMapping {
         update: &FrameUpdate,
         picture: Frame,
     ) -> BTreeMap<usize, Pose<f64>> {
+        // Every n-th of all frames is held out, not of those that are mapped.
+        self.holds_out(picture.index);
         let is_keyframe = update.is_keyframe;
         self.waiting.push_back(WaitingFrame { number: update.frame, picture, is_keyframe });
         if self.gauge.is_none() && update.pose.is_some() {
@@ -214,6 +215,11 @@ impl OnlineMapping {
         out
     }
 
+    /// True if the frame with this index is held out of the map.
+    pub(super) fn holds_out(&mut self, index: usize) -> bool {
+        self.hold_out.holds_out(index)
+    }
+
     /// Sends a frame to the map, if it has a pose, and something to map.
     fn send(&mut self, front_end: &FrontEnd, path: &Reconstruction, frame: WaitingFrame) {
         let (Some(gauge), Some(pose)) = (self.gauge, path.poses[frame.number]) else { return };
@@ -224,7 +230,7 @@ impl OnlineMapping {
             return;
         }
         self.steps += if is_keyframe { self.mapping.iterations } else { 0 };
-        if self.hold_out.holds_out(index, &self.mapping) {
+        if self.holds_out(index) {
             return;
         }
         let readout = path.rolling_shutter_readout;

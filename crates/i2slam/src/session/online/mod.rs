@@ -162,7 +162,10 @@ impl OnlineSession {
             .depth
             .as_ref()
             .map(|depth| DepthPicture { depth: &depth.image, timestamp: depth.timestamp });
-        let update = self.front_end.push(&tracked.colour, timestamp, depth.as_ref())?;
+        let update = match self.mapping.holds_out(index) {
+            true => self.front_end.push_held_out(&tracked.colour, timestamp, depth.as_ref())?,
+            false => self.front_end.push(&tracked.colour, timestamp, depth.as_ref())?,
+        };
         self.indices.push(index);
         let corrections = self.mapping.add_frame(&self.front_end, &update, mapped);
         let world_from_camera = update.pose.and_then(|pose| self.mapping.placed(pose));

@@ -61,11 +61,11 @@ mod tests {
     #[test]
     fn a_point_that_is_found_again_goes_on_in_its_track() {
         let mut tracker = Tracker::default();
-        let first = tracker.track(&room(0.0)).started;
+        let first = tracker.track(&room(0.0), false).started;
         for _ in 0..=MAX_HIDDEN_FRAMES {
-            tracker.track(&Image::new(96, 72, 1));
+            tracker.track(&Image::new(96, 72, 1), false);
         }
-        let again = (0..9).map(|_| tracker.track(&room(0.0))).find(|t| t.keyframe.is_some());
+        let again = (0..9).map(|_| tracker.track(&room(0.0), false)).find(|t| t.keyframe.is_some());
         let again = again.expect("a keyframe");
         assert!(again.observed.is_empty());
         let frame = tracker.frames - 1;
@@ -77,7 +77,7 @@ mod tests {
         tracker.resume(&found);
         let most = again.started.len().max(first.len()) + 2;
         assert!(tracker.points.len() <= most, "{}", tracker.points.len());
-        let next = tracker.track(&room(0.5)).observed;
+        let next = tracker.track(&room(0.5), false).observed;
         let goes_on = |(track, o): &&(usize, Observation)| {
             let was = first.get(*track).map(|track| track.observations[0].raw()[0]);
             was.is_some_and(|was| (o.raw()[0] - was - 0.5).abs() < 0.2)
