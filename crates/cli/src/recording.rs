@@ -6,6 +6,7 @@ use crate::failure::Failure;
 use crate::output_file::check_folder;
 use i2slam::geometry::Image;
 use i2slam::{FrameEstimate, Reconstruction};
+use i2slam_result::FrameFiles;
 use i2slam_storage::{StorageError, write_file};
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
@@ -19,6 +20,8 @@ pub struct RecordedRun<'a> {
     pub title: &'a str,
     /// Frames, map and camera.
     pub reconstruction: &'a Reconstruction,
+    /// Files of the pictures taken, by which frames are called.
+    pub files: &'a FrameFiles,
     /// Loads the picture of a frame as filmed (planes R, G, B in `[0, 1]`); `None` where it cannot be
     /// read.
     pub load_picture: &'a mut dyn FnMut(&FrameEstimate) -> Option<Image<f32>>,
@@ -119,7 +122,8 @@ mod tests {
             )
             .reconstruction();
             let load_picture: &mut dyn FnMut(&FrameEstimate) -> Option<Image<f32>> = &mut |_| None;
-            let run = RecordedRun { title, reconstruction: &reconstruction, load_picture };
+            let (reconstruction, files) = (&reconstruction, &FrameFiles::default());
+            let run = RecordedRun { title, reconstruction, files, load_picture };
             recording.write(run).expect("room");
             fs::read_to_string(&path).expect("written")
         };

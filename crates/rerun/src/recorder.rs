@@ -10,8 +10,8 @@ use re_chunk::{TimePoint, Timeline};
 use re_log_types::TimeCell;
 use re_sdk_types::AsComponents;
 use re_sdk_types::archetypes::{
-    EncodedImage, LineStrips3D, Pinhole, Points3D, Scalars, SeriesLines, TextLog, Transform3D,
-    ViewCoordinates,
+    EncodedImage, LineStrips3D, Pinhole, Points3D, Scalars, SeriesLines, TextDocument, TextLog,
+    Transform3D, ViewCoordinates,
 };
 use re_sdk_types::components::{Color, LineStrip3D};
 use re_sdk_types::datatypes::Quaternion;
@@ -30,7 +30,7 @@ const PART: usize = 64;
 
 /// Writes the recording of a run.
 pub(crate) fn write(run: RecordedRun<'_>, out: &mut dyn Write) -> io::Result<()> {
-    let RecordedRun { title, reconstruction, load_picture } = run;
+    let RecordedRun { title, reconstruction, files, load_picture } = run;
     let frames: Vec<&FrameEstimate> = reconstruction.frames.iter().filter(|f| f.tracked).collect();
     let mut log = Log::begin(out, title, &format!("{title}-{:016x}", fingerprint(&frames)))?;
     log.add("world", [row(TimePoint::STATIC, &[&ViewCoordinates::RDF()])])?;
@@ -50,9 +50,13 @@ pub(crate) fn write(run: RecordedRun<'_>, out: &mut dyn Write) -> io::Result<()>
         .with_colors([0xE0_50_50_FF, 0x50_C0_50_FF, 0x50_80_E0_FF].map(Color::from_u32));
     log.add(WHITE_BALANCE, [row(TimePoint::STATIC, &[&channels])])?;
     let keyframes = frames.iter().filter(|frame| frame.keyframe);
-    let mark = |frame: &FrameEstimate| TextLog::new(format!("keyframe {}", frame.index));
+    let mark =
+        |frame: &FrameEstimate| TextLog::new(format!("keyframe {}", files.name(frame.index)));
     let marks: Vec<Row> = keyframes.map(|frame| row(time(frame, first), &[&mark(frame)])).collect();
     log.add("keyframes", marks)?;
+    let named = frames.iter().filter_map(|frame| Some((frame, files.get(frame.index)?)));
+    let names = named.map(|(frame, file)| row(time(frame, first), &[&TextDocument::new(file)]));
+    log.add("file", names.collect::<Vec<_>>())?;
     for frame in frames {
         let picture = load_picture(frame).and_then(|picture| jpeg(&picture));
         let pinhole = pinhole(&reconstruction.camera);

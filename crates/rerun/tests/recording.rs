@@ -4,6 +4,7 @@ use i2slam_check::{Ran, TemporaryFolder};
 use re_chunk::Chunk;
 use re_log_encoding::DecoderApp;
 use re_log_types::LogMsg;
+use re_sdk_types::archetypes::TextLog;
 use std::collections::BTreeMap;
 use std::ffi::OsStr;
 use std::fs;
@@ -37,6 +38,16 @@ fn entities(chunks: &[Chunk]) -> BTreeMap<String, (usize, Vec<String>)> {
     found
 }
 
+/// Texts of the marks of keyframes.
+fn marks(chunks: &[Chunk]) -> Vec<String> {
+    let text = TextLog::descriptor_text().component;
+    let marked = chunks.iter().filter(|chunk| chunk.entity_path().to_string() == "/keyframes");
+    marked
+        .flat_map(|chunk| chunk.iter_slices::<String>(text))
+        .flat_map(|texts| texts.iter().map(ToString::to_string).collect::<Vec<_>>())
+        .collect()
+}
+
 #[test]
 fn a_run_is_recorded() {
     let scratch = TemporaryFolder::new("rerun");
@@ -58,7 +69,7 @@ fn a_run_is_recorded() {
         assert_eq!(rows(&entity), Some(12), "{entity} of {found:?}");
         assert_eq!(found[&entity].1, ["frame", "time"]);
     }
-    for entity in ["/exposure_stops", "/blur_length_px", "/world/path/0"] {
+    for entity in ["/exposure_stops", "/blur_length_px", "/world/path/0", "/file"] {
         assert_eq!(rows(entity), Some(12), "{entity} of {found:?}");
     }
     assert_eq!(rows("/white_balance"), Some(13), "gains of 12 frames, and names of the channels");
@@ -68,6 +79,8 @@ fn a_run_is_recorded() {
     }
     let keyframes = rows("/keyframes").expect("keyframes");
     assert!((1..=12).contains(&keyframes), "{keyframes} keyframes");
+    let marks = marks(&recorded);
+    assert!(marks[0].starts_with("keyframe 0, rgb/"), "{marks:?}");
     fs::remove_dir_all(&out).expect("a result");
     run(&[]).exits_with(2).stderr_contains("the recording exists");
     run(&[&"--overwrite"]).exits_with(0);
