@@ -170,7 +170,7 @@ fn arguments_beyond_any_machine_are_refused() {
         ("--scale", "1000"),
         ("--stride", "0"),
     ] {
-        room.run(&[flag, value]).exits_with(2).stderr_contains(flag).stderr_contains(value);
+        room.run(&[flag, value]).exits_with(2).stderr_contains(value);
         assert!(!room.out.exists(), "{flag} {value}");
     }
     room.run(&["--stride", "9223372036854775807", "--render", "none"]).exits_with(0);
