@@ -22,6 +22,8 @@ pub struct RecordedRun<'a> {
     pub reconstruction: &'a Reconstruction,
     /// Files of the pictures taken, by which frames are called.
     pub files: &'a FrameFiles,
+    /// False if time stamps are counted at an assumed frame rate, as those of photographs.
+    pub has_times: bool,
     /// Loads the picture of a frame as filmed (planes R, G, B in `[0, 1]`); `None` where it cannot be
     /// read.
     pub load_picture: &'a mut dyn FnMut(&FrameEstimate) -> Option<Image<f32>>,
@@ -123,7 +125,8 @@ mod tests {
             .reconstruction();
             let load_picture: &mut dyn FnMut(&FrameEstimate) -> Option<Image<f32>> = &mut |_| None;
             let (reconstruction, files) = (&reconstruction, &FrameFiles::default());
-            let run = RecordedRun { title, reconstruction, files, load_picture };
+            let has_times = true;
+            let run = RecordedRun { title, reconstruction, files, has_times, load_picture };
             recording.write(run).expect("room");
             fs::read_to_string(&path).expect("written")
         };

@@ -8,7 +8,7 @@ use re_sdk_types::archetypes::TextLog;
 use std::collections::BTreeMap;
 use std::ffi::OsStr;
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
 fn i2slam(arguments: &[&dyn AsRef<OsStr>]) -> Ran {
@@ -48,14 +48,19 @@ fn marks(chunks: &[Chunk]) -> Vec<String> {
         .collect()
 }
 
-#[test]
-fn a_run_is_recorded() {
-    let scratch = TemporaryFolder::new("rerun");
-    let (data, out) = (scratch.join("room"), scratch.join("out"));
-    let (spec, recording) = (scratch.join("spec.toml"), scratch.join("run.rrd"));
+/// A rendered sequence of twelve frames.
+fn room(scratch: &TemporaryFolder) -> PathBuf {
+    let (spec, data) = (scratch.join("spec.toml"), scratch.join("room"));
     fs::write(&spec, "[camera]\nframes = 12\nwidth = 96\nheight = 72\nsub_frames = 4\n")
         .expect("room");
     i2slam(&[&"synth", &spec, &"--out", &data]).exits_with(0);
+    data
+}
+
+#[test]
+fn a_run_is_recorded() {
+    let scratch = TemporaryFolder::new("rerun");
+    let (data, out, recording) = (room(&scratch), scratch.join("out"), scratch.join("run.rrd"));
     let run = |flags: &[&dyn AsRef<OsStr>]| {
         let all: [&dyn AsRef<OsStr>; 8] =
             [&"run", &data, &"--out", &out, &"--rerun", &recording, &"--render", &"none"];
@@ -85,4 +90,27 @@ fn a_run_is_recorded() {
     run(&[]).exits_with(2).stderr_contains("the recording exists");
     run(&[&"--overwrite"]).exits_with(0);
     assert!(chunks(&recording) == recorded, "the same run, other rows");
+}
+
+#[test]
+fn pictures_without_time_stamps_have_files_and_no_times() {
+    let scratch = TemporaryFolder::new("rerun-pictures");
+    let (pictures, out, recording) =
+        (room(&scratch).join("rgb"), scratch.join("out"), scratch.join("run.rrd"));
+    let all: [&dyn AsRef<OsStr>; 10] = [
+        &"run",
+        &pictures,
+        &"--out",
+        &out,
+        &"--rerun",
+        &recording,
+        &"--render",
+        &"none",
+        &"--fov",
+        &"60",
+    ];
+    i2slam(&all).exits_with(0);
+    let recorded = chunks(&recording);
+    assert_eq!(marks(&recorded)[0], "keyframe 0, 000000.png");
+    assert_eq!(entities(&recorded)["/world/camera/picture"].1, ["frame"]);
 }

@@ -109,7 +109,13 @@ impl FinishedRun<'_> {
         note(report.save(folder));
         if let Some(recording) = &self.job.recording {
             let mut load = taken_pictures(self.sequence);
-            let run = RecordedRun { title, reconstruction, files: &files, load_picture: &mut load };
+            let run = RecordedRun {
+                title,
+                reconstruction,
+                files: &files,
+                has_times: !self.sequence.are_times_assumed,
+                load_picture: &mut load,
+            };
             note(recording.write(run).map_err(ResultError::from));
         }
         measurements.metrics.complete &= problems.is_empty();
