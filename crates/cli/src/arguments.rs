@@ -5,6 +5,7 @@ use crate::failure::Failure;
 use crate::live_viewer::LiveViewer;
 use clap::Args;
 use clap::builder::{PathBufValueParser, TypedValueParser};
+use i2slam::config::{MAX_MEMORY, MIN_MEMORY};
 use i2slam::dataset::OpenOptions;
 use std::ops::{Range, RangeInclusive};
 use std::path::{Path, PathBuf};
@@ -18,15 +19,26 @@ pub(crate) struct Input {
     #[arg(long, value_name = "A..B", value_parser = frame_range)]
     pub(crate) frames: Option<Range<usize>>,
     /// Every N-th frame
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = number::<usize>("a count of frames"))]
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = 1,
+        allow_negative_numbers = true,
+        value_parser = number::<usize>("a count of frames as in 2")
+    )]
     pub(crate) stride: usize,
     /// Size of the processed pictures over that of the recorded ones [default: 1, but see
     /// --max-side]
-    #[arg(long, value_name = "S", value_parser = number::<f64>("a factor as in 0.5"))]
+    #[arg(
+        long,
+        value_name = "S",
+        allow_negative_numbers = true,
+        value_parser = number::<f64>("a factor as in 0.5")
+    )]
     pub(crate) scale: Option<f64>,
     /// Longer side of the processed pictures at most [px]; those that come out, as renders and exports,
     /// are of the same size [default: 640 for videos and colour alone, unless --scale is given]
-    #[arg(long, value_name = "N", value_parser = picture_side)]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = picture_side)]
     pub(crate) max_side: Option<u32>,
     /// Camera file to use instead of the folder's camera.json
     #[arg(long, value_name = "FILE.json", value_parser = existing_path())]
@@ -52,7 +64,7 @@ pub(crate) struct Input {
     )]
     pub(crate) fov: Option<f64>,
     /// Value of one metre in the depth images
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = depth_scale)]
     pub(crate) depth_scale: Option<f64>,
 }
 
@@ -77,7 +89,7 @@ pub(crate) struct Rerun {
 #[derive(Args, Clone, Debug)]
 pub(crate) struct Machine {
     /// Threads to use [default: all cores]; results do not depend on it
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = thread_count)]
     pub(crate) threads: Option<u16>,
     /// Print warnings and the summary only
     #[arg(long)]
@@ -98,6 +110,31 @@ fn picture_side(text: &str) -> Result<u32, String> {
     let side = text.trim().parse().ok().filter(|side| PICTURE_SIDES.contains(side));
     let (least, most) = (PICTURE_SIDES.start(), PICTURE_SIDES.end());
     side.ok_or_else(|| format!("expected a whole number of pixels, {least} to {most}"))
+}
+
+/// Threads that are accepted.
+const THREADS: RangeInclusive<u16> = 1..=1024;
+
+fn thread_count(text: &str) -> Result<u16, String> {
+    let (least, most) = (THREADS.start(), THREADS.end());
+    let expected = format!("expected a whole number of threads, {least} to {most}, as in 4");
+    text.trim().parse().ok().filter(|count| THREADS.contains(count)).ok_or(expected)
+}
+
+fn depth_scale(text: &str) -> Result<f64, String> {
+    let expected = "expected the depth value of one metre, a number above 0, as in 1000 or 5000";
+    let scale = text.trim().parse().ok().filter(|scale: &f64| scale.is_finite() && *scale > 0.0);
+    scale.ok_or_else(|| expected.to_owned())
+}
+
+/// Parses the memory of a run [GB].
+pub(crate) fn memory(text: &str) -> Result<f64, String> {
+    let memory = text.trim().parse().ok();
+    memory.filter(|memory| (MIN_MEMORY..=MAX_MEMORY).contains(memory)).ok_or_else(|| {
+        format!(
+            "expected a number of gigabytes without unit, {MIN_MEMORY} to {MAX_MEMORY}, as in 2 or 0.5"
+        )
+    })
 }
 
 pub(crate) fn frame_range(text: &str) -> Result<Range<usize>, String> {
@@ -189,6 +226,25 @@ mod tests {
         for wrong in ["7..3", "3..3", "3", "3..", "a..b", "-1..4"] {
             assert!(frame_range(wrong).is_err(), "{wrong}");
         }
+    }
+
+    #[test]
+    fn wrong_numbers_are_answered_with_what_is_expected() {
+        assert_eq!((thread_count("4"), memory("0.5")), (Ok(4), Ok(0.5)));
+        assert_eq!(depth_scale(" 5000"), Ok(5000.0));
+        for wrong in ["0", "-1", "nan", "inf", "four", "2GB", "1e400", "1e6x", ""] {
+            let answers = [
+                (thread_count(wrong).err(), "1 to 1024, as in 4"),
+                (memory(wrong).err(), "0.001 to 100000, as in 2 or 0.5"),
+                (depth_scale(wrong).err(), "as in 1000 or 5000"),
+            ];
+            for (answer, words) in answers {
+                let answer = answer.unwrap_or_default();
+                assert!(answer.starts_with("expected") && answer.ends_with(words), "{wrong}");
+            }
+        }
+        assert!(thread_count("1025").is_err() && thread_count("1.5").is_err());
+        assert!(memory("1e6").is_err());
     }
 
     #[test]

@@ -2,11 +2,13 @@
 
 use crate::console::print_status;
 use crate::failure::Failure;
+use i2slam::dataset::Sequence;
 use i2slam::formation::{CameraResponse, NodeSpacing, ShutterPoses, StartCurve, Vignetting};
 use i2slam::geometry::{Camera, Pose, StampedPose};
 use i2slam::{Config, FrameEstimate, Map, Reconstruction};
-use i2slam_result::ViewerPage;
+use i2slam_result::{FrameFiles, ViewerPage};
 use std::net::Ipv4Addr;
+use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
@@ -29,9 +31,31 @@ pub(crate) struct LiveViewer {
     thread: Option<JoinHandle<()>>,
 }
 
+/// Numbers and files of the frames of a sequence.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct SequenceFrames {
+    files: FrameFiles,
+    /// Time stamps [s], in order, with the number of each frame.
+    numbers: Vec<(f64, usize)>,
+}
+
+impl SequenceFrames {
+    /// Those of a sequence in the folder `dataset`.
+    pub(crate) fn of(sequence: &Sequence, dataset: &Path) -> Self {
+        let numbers = sequence.entries.iter().map(|entry| (entry.timestamp, entry.index)).collect();
+        Self { files: FrameFiles::of(sequence, dataset), numbers }
+    }
+
+    fn number(&self, timestamp: f64) -> Option<usize> {
+        let place = self.numbers.binary_search_by(|(stamp, _)| stamp.total_cmp(&timestamp)).ok()?;
+        Some(self.numbers[place].1)
+    }
+}
+
 /// State that pages show.
 struct Shown {
     title: String,
+    frames: SequenceFrames,
     status: String,
     /// A copy of the run; without one there is nothing to show yet.
     run: Option<Arc<Reconstruction>>,
@@ -72,9 +96,15 @@ impl LiveViewer {
     }
 
     /// Names the run, whose frames are of a camera.
-    pub(crate) fn begin(&self, title: &str, config: &Config, camera: &Camera<f64>) {
+    pub(crate) fn begin(
+        &self,
+        title: &str,
+        config: &Config,
+        (camera, frames): (&Camera<f64>, SequenceFrames),
+    ) {
         let mut shown = self.shown();
         title.clone_into(&mut shown.title);
+        shown.frames = frames;
         if shown.run.is_none() {
             shown.show(without_frames(config, camera));
         }
@@ -140,6 +170,7 @@ impl Shown {
     fn new() -> Self {
         Self {
             title: String::new(),
+            frames: SequenceFrames::default(),
             status: "Reading the sequence".to_owned(),
             run: None,
             poses: Vec::new(),
@@ -179,7 +210,10 @@ impl Shown {
 }
 
 /// A copy of a run with the frames that were tracked and not mapped yet.
-fn with_later_poses(run: &Reconstruction, poses: &[StampedPose]) -> Reconstruction {
+fn with_later_poses(
+    run: &Reconstruction,
+    (poses, frames): (&[StampedPose], &SequenceFrames),
+) -> Reconstruction {
     let mut run = run.clone();
     let mapped = run.frames.last().map_or(f64::NEG_INFINITY, |frame| frame.timestamp);
     let still = run.virtual_frame(0, Pose::identity());
@@ -187,7 +221,8 @@ fn with_later_poses(run: &Reconstruction, poses: &[StampedPose]) -> Reconstructi
     let later = poses.iter().filter(|pose| pose.timestamp > mapped).enumerate();
     run.frames.extend(later.map(|(i, pose)| {
         let shutter = ShutterPoses::still(pose.world_from_camera);
-        let (index, timestamp) = (first + i, pose.timestamp);
+        let timestamp = pose.timestamp;
+        let index = frames.number(timestamp).unwrap_or(first + i);
         FrameEstimate { index, timestamp, shutter, ..still.clone() }
     }));
     run
@@ -252,7 +287,8 @@ fn page(shown: &Mutex<Shown>) -> String {
     };
     // The page asks for poses and map at once.
     let page = run.map(|run| {
-        ViewerPage::of_run(&title, &without_frames(&run.config, &run.camera)).live_html()
+        let empty = without_frames(&run.config, &run.camera);
+        ViewerPage::of_run(&title, &empty, &FrameFiles::default()).live_html()
     });
     match page {
         Some(Ok(page)) => page,
@@ -267,18 +303,19 @@ const WAITING: &str = "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\">
 
 /// JSON of what is new after a version.
 fn update(shown: &Mutex<Shown>, after: u64) -> String {
-    let (title, mut status, run, version, ended) = {
+    let (title, frames, mut status, run, version, ended) = {
         let mut shown = lock(shown);
         shown.asked = Some(Instant::now());
         let run = shown.run.clone().filter(|_| shown.version != after);
         let run = run.map(|run| (run, shown.poses.clone()));
-        (shown.title.clone(), shown.status.clone(), run, shown.version, shown.ended)
+        let (title, frames) = (shown.title.clone(), shown.frames.clone());
+        (title, frames, shown.status.clone(), run, shown.version, shown.ended)
     };
     // Beyond the last mapped frame there is little to see.
     let latest = run.as_ref().and_then(|(run, _)| Some(run.frames.last()?.index));
     let latest = serde_json::Value::from(latest);
-    let run = run.map(|(run, poses)| with_later_poses(&run, &poses));
-    let state = match run.map(|run| ViewerPage::of_run(&title, &run).update()) {
+    let run = run.map(|(run, poses)| with_later_poses(&run, (&poses, &frames)));
+    let state = match run.map(|run| ViewerPage::of_run(&title, &run, &frames.files).update()) {
         Some(Ok(state)) => state,
         Some(Err(reason)) => {
             status = format!("{status}: {reason}");
@@ -323,12 +360,17 @@ mod tests {
     fn pages_see_poses_then_the_map_and_its_end() {
         let viewer = LiveViewer::start(0).expect("a free port");
         assert!(get(&viewer, "/", "localhost").contains("Waiting for the first frame"));
-        viewer.begin("a clip", &Config::default(), &camera());
+        let frames = SequenceFrames {
+            files: [(8, "IMG_1234.jpg".to_owned())].into_iter().collect(),
+            numbers: vec![(0.25, 6), (0.5, 8)],
+        };
+        viewer.begin("a clip", &Config::default(), (&camera(), frames));
         assert!(get(&viewer, "/", "127.0.0.1:80").contains("update?after="));
         let pose = Pose::identity();
         viewer.add_pose(&StampedPose { timestamp: 0.5, world_from_camera: pose });
         let first = json(&get(&viewer, "/update?after=0", "localhost"));
-        assert_eq!(first["state"]["scene"]["frames"].as_array().map(Vec::len), Some(1));
+        let frames = first["state"]["scene"]["frames"].as_array().expect("frames");
+        assert_eq!((frames.len(), &frames[0]["name"]), (1, &"8, IMG_1234.jpg".into()));
         let path = format!("/update?after={}", first["version"]);
         assert!(json(&get(&viewer, &path, "localhost"))["state"].is_null());
         viewer.show(&|| without_frames(&Config::default(), &camera()));

@@ -5,7 +5,7 @@ use i2slam::Reconstruction;
 use i2slam::dataset::{Layout, Sequence};
 use i2slam::run::{CameraEstimate, RuntimeForecast, odometry_size};
 use i2slam_result::{Metrics, UnitOfLength};
-use i2slam_storage::Committed;
+use i2slam_storage::{Committed, listed};
 use std::path::{Path, PathBuf};
 
 /// Longer side below which smaller pictures are not advised [px].
@@ -168,17 +168,10 @@ fn rounded_duration(seconds: f64) -> String {
     }
 }
 
-/// Files named in a line.
-const MAX_NAMED_FILES: usize = 8;
-
 /// The photographs that have no pose, and what would help; `None` if all have one.
 fn not_placed_line(metrics: &Metrics, files: &[String]) -> Option<String> {
     let missing = metrics.frames_given.saturating_sub(metrics.tracked);
-    let named = files.iter().take(MAX_NAMED_FILES).map(String::as_str);
-    let mut named = named.collect::<Vec<_>>().join(", ");
-    if files.len() > MAX_NAMED_FILES {
-        named += &format!(" and {} more", files.len() - MAX_NAMED_FILES);
-    }
+    let named = listed(files);
     (missing > 0).then(|| {
         format!(
             "{missing} of {} have no pose and are not in the map: {named}; add photographs from between these \

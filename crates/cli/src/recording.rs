@@ -6,6 +6,7 @@ use crate::failure::Failure;
 use crate::output_file::check_folder;
 use i2slam::geometry::Image;
 use i2slam::{FrameEstimate, Reconstruction};
+use i2slam_result::FrameFiles;
 use i2slam_storage::{StorageError, write_file};
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
@@ -19,6 +20,10 @@ pub struct RecordedRun<'a> {
     pub title: &'a str,
     /// Frames, map and camera.
     pub reconstruction: &'a Reconstruction,
+    /// Files of the pictures taken, by which frames are called.
+    pub files: &'a FrameFiles,
+    /// False if time stamps are counted at an assumed frame rate, as those of photographs.
+    pub has_times: bool,
     /// Loads the picture of a frame as filmed (planes R, G, B in `[0, 1]`); `None` where it cannot be
     /// read.
     pub load_picture: &'a mut dyn FnMut(&FrameEstimate) -> Option<Image<f32>>,
@@ -119,7 +124,9 @@ mod tests {
             )
             .reconstruction();
             let load_picture: &mut dyn FnMut(&FrameEstimate) -> Option<Image<f32>> = &mut |_| None;
-            let run = RecordedRun { title, reconstruction: &reconstruction, load_picture };
+            let (reconstruction, files) = (&reconstruction, &FrameFiles::default());
+            let has_times = true;
+            let run = RecordedRun { title, reconstruction, files, has_times, load_picture };
             recording.write(run).expect("room");
             fs::read_to_string(&path).expect("written")
         };

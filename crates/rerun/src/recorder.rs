@@ -10,8 +10,8 @@ use re_chunk::{TimePoint, Timeline};
 use re_log_types::TimeCell;
 use re_sdk_types::AsComponents;
 use re_sdk_types::archetypes::{
-    EncodedImage, LineStrips3D, Pinhole, Points3D, Scalars, SeriesLines, TextLog, Transform3D,
-    ViewCoordinates,
+    EncodedImage, LineStrips3D, Pinhole, Points3D, Scalars, SeriesLines, TextDocument, TextLog,
+    Transform3D, ViewCoordinates,
 };
 use re_sdk_types::components::{Color, LineStrip3D};
 use re_sdk_types::datatypes::Quaternion;
@@ -30,16 +30,16 @@ const PART: usize = 64;
 
 /// Writes the recording of a run.
 pub(crate) fn write(run: RecordedRun<'_>, out: &mut dyn Write) -> io::Result<()> {
-    let RecordedRun { title, reconstruction, load_picture } = run;
+    let RecordedRun { title, reconstruction, files, has_times, load_picture } = run;
     let frames: Vec<&FrameEstimate> = reconstruction.frames.iter().filter(|f| f.tracked).collect();
     let mut log = Log::begin(out, title, &format!("{title}-{:016x}", fingerprint(&frames)))?;
     log.add("world", [row(TimePoint::STATIC, &[&ViewCoordinates::RDF()])])?;
     add_map(&mut log, reconstruction)?;
-    add_path(&mut log, &frames)?;
     let each = |part: &dyn Fn(&FrameEstimate) -> Row| -> Vec<Row> {
         frames.iter().map(|frame| part(frame)).collect()
     };
-    let first = frames.first().map_or(0.0, |frame| frame.timestamp);
+    let first = frames.first().filter(|_| has_times).map(|frame| frame.timestamp);
+    add_path(&mut log, &frames, first)?;
     log.add("world/camera", each(&|frame| row(time(frame, first), &[&pose(frame)])))?;
     for (entity, values) in SCALARS {
         let scalars = |frame: &FrameEstimate| Scalars::new(values(frame));
@@ -50,9 +50,13 @@ pub(crate) fn write(run: RecordedRun<'_>, out: &mut dyn Write) -> io::Result<()>
         .with_colors([0xE0_50_50_FF, 0x50_C0_50_FF, 0x50_80_E0_FF].map(Color::from_u32));
     log.add(WHITE_BALANCE, [row(TimePoint::STATIC, &[&channels])])?;
     let keyframes = frames.iter().filter(|frame| frame.keyframe);
-    let mark = |frame: &FrameEstimate| TextLog::new(format!("keyframe {}", frame.index));
+    let mark =
+        |frame: &FrameEstimate| TextLog::new(format!("keyframe {}", files.name(frame.index)));
     let marks: Vec<Row> = keyframes.map(|frame| row(time(frame, first), &[&mark(frame)])).collect();
     log.add("keyframes", marks)?;
+    let named = frames.iter().filter_map(|frame| Some((frame, files.get(frame.index)?)));
+    let names = named.map(|(frame, file)| row(time(frame, first), &[&TextDocument::new(file)]));
+    log.add("file", names.collect::<Vec<_>>())?;
     for frame in frames {
         let picture = load_picture(frame).and_then(|picture| jpeg(&picture));
         let pinhole = pinhole(&reconstruction.camera);
@@ -85,12 +89,12 @@ fn fingerprint(frames: &[&FrameEstimate]) -> u64 {
     hasher.finish()
 }
 
-/// Number of a frame in the sequence, and time since the `first` stamp.
-fn time(frame: &FrameEstimate, first: f64) -> TimePoint {
+/// Number of a frame in the sequence, and time since the `first` stamp, if times are known.
+fn time(frame: &FrameEstimate, first: Option<f64>) -> TimePoint {
+    let number = TimePoint::default().with(Timeline::new_sequence("frame"), frame.index as i64);
+    let Some(first) = first else { return number };
     let nanoseconds = (1e9 * (frame.timestamp - first)).round() as i64;
-    TimePoint::default()
-        .with(Timeline::new_sequence("frame"), frame.index as i64)
-        .with_index("time", TimeCell::from_duration_nanos(nanoseconds))
+    number.with_index("time", TimeCell::from_duration_nanos(nanoseconds))
 }
 
 fn position(frame: &FrameEstimate) -> [f32; 3] {
@@ -136,12 +140,11 @@ fn jpeg(picture: &Image<f32>) -> Option<EncodedImage> {
 }
 
 /// The path as it grows, in parts, and as a whole; keyframes are marked on it.
-fn add_path(log: &mut Log<'_>, frames: &[&FrameEstimate]) -> io::Result<()> {
+fn add_path(log: &mut Log<'_>, frames: &[&FrameEstimate], first: Option<f64>) -> io::Result<()> {
     let positions: Vec<[f32; 3]> = frames.iter().map(|frame| position(frame)).collect();
     let strip =
         |points: &[[f32; 3]]| LineStrips3D::new([LineStrip3D::from_iter(points.iter().copied())]);
     log.add("world/trajectory", [row(TimePoint::STATIC, &[&strip(&positions)])])?;
-    let first = frames.first().map_or(0.0, |frame| frame.timestamp);
     for begin in (0..frames.len()).step_by(PART) {
         let end = (begin + PART).min(frames.len());
         // A part begins at the last frame of the part before.

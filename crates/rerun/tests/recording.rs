@@ -4,10 +4,11 @@ use i2slam_check::{Ran, TemporaryFolder};
 use re_chunk::Chunk;
 use re_log_encoding::DecoderApp;
 use re_log_types::LogMsg;
+use re_sdk_types::archetypes::TextLog;
 use std::collections::BTreeMap;
 use std::ffi::OsStr;
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
 fn i2slam(arguments: &[&dyn AsRef<OsStr>]) -> Ran {
@@ -37,14 +38,29 @@ fn entities(chunks: &[Chunk]) -> BTreeMap<String, (usize, Vec<String>)> {
     found
 }
 
-#[test]
-fn a_run_is_recorded() {
-    let scratch = TemporaryFolder::new("rerun");
-    let (data, out) = (scratch.join("room"), scratch.join("out"));
-    let (spec, recording) = (scratch.join("spec.toml"), scratch.join("run.rrd"));
+/// Texts of the marks of keyframes.
+fn marks(chunks: &[Chunk]) -> Vec<String> {
+    let text = TextLog::descriptor_text().component;
+    let marked = chunks.iter().filter(|chunk| chunk.entity_path().to_string() == "/keyframes");
+    marked
+        .flat_map(|chunk| chunk.iter_slices::<String>(text))
+        .flat_map(|texts| texts.iter().map(ToString::to_string).collect::<Vec<_>>())
+        .collect()
+}
+
+/// A rendered sequence of twelve frames.
+fn room(scratch: &TemporaryFolder) -> PathBuf {
+    let (spec, data) = (scratch.join("spec.toml"), scratch.join("room"));
     fs::write(&spec, "[camera]\nframes = 12\nwidth = 96\nheight = 72\nsub_frames = 4\n")
         .expect("room");
     i2slam(&[&"synth", &spec, &"--out", &data]).exits_with(0);
+    data
+}
+
+#[test]
+fn a_run_is_recorded() {
+    let scratch = TemporaryFolder::new("rerun");
+    let (data, out, recording) = (room(&scratch), scratch.join("out"), scratch.join("run.rrd"));
     let run = |flags: &[&dyn AsRef<OsStr>]| {
         let all: [&dyn AsRef<OsStr>; 8] =
             [&"run", &data, &"--out", &out, &"--rerun", &recording, &"--render", &"none"];
@@ -58,7 +74,7 @@ fn a_run_is_recorded() {
         assert_eq!(rows(&entity), Some(12), "{entity} of {found:?}");
         assert_eq!(found[&entity].1, ["frame", "time"]);
     }
-    for entity in ["/exposure_stops", "/blur_length_px", "/world/path/0"] {
+    for entity in ["/exposure_stops", "/blur_length_px", "/world/path/0", "/file"] {
         assert_eq!(rows(entity), Some(12), "{entity} of {found:?}");
     }
     assert_eq!(rows("/white_balance"), Some(13), "gains of 12 frames, and names of the channels");
@@ -68,8 +84,33 @@ fn a_run_is_recorded() {
     }
     let keyframes = rows("/keyframes").expect("keyframes");
     assert!((1..=12).contains(&keyframes), "{keyframes} keyframes");
+    let marks = marks(&recorded);
+    assert!(marks[0].starts_with("keyframe 0, rgb/"), "{marks:?}");
     fs::remove_dir_all(&out).expect("a result");
     run(&[]).exits_with(2).stderr_contains("the recording exists");
     run(&[&"--overwrite"]).exits_with(0);
     assert!(chunks(&recording) == recorded, "the same run, other rows");
+}
+
+#[test]
+fn pictures_without_time_stamps_have_files_and_no_times() {
+    let scratch = TemporaryFolder::new("rerun-pictures");
+    let (pictures, out, recording) =
+        (room(&scratch).join("rgb"), scratch.join("out"), scratch.join("run.rrd"));
+    let all: [&dyn AsRef<OsStr>; 10] = [
+        &"run",
+        &pictures,
+        &"--out",
+        &out,
+        &"--rerun",
+        &recording,
+        &"--render",
+        &"none",
+        &"--fov",
+        &"60",
+    ];
+    i2slam(&all).exits_with(0);
+    let recorded = chunks(&recording);
+    assert_eq!(marks(&recorded)[0], "keyframe 0, 000000.png");
+    assert_eq!(entities(&recorded)["/world/camera/picture"].1, ["frame"]);
 }

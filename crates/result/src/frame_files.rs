@@ -55,6 +55,14 @@ impl FrameFiles {
         self.0.get(&index).map(String::as_str)
     }
 
+    /// Name of a frame for people: its number, and its file where it has one.
+    pub fn name(&self, index: usize) -> String {
+        match self.get(index) {
+            Some(file) => format!("{index}, {file}"),
+            None => index.to_string(),
+        }
+    }
+
     /// The files of frames that have no pose or are missing among `frames`.
     pub fn without_pose(&self, frames: &[FrameEstimate]) -> Vec<String> {
         let tracked: BTreeSet<usize> =
@@ -82,6 +90,12 @@ impl FrameFiles {
         // Some systems do not tell small letters from capitals.
         let different: BTreeSet<String> = stems.values().map(|s| s.to_lowercase()).collect();
         (different.len() == stems.len()).then_some(stems)
+    }
+}
+
+impl FromIterator<(usize, String)> for FrameFiles {
+    fn from_iter<I: IntoIterator<Item = (usize, String)>>(files: I) -> Self {
+        Self(files.into_iter().collect())
     }
 }
 
@@ -113,7 +127,7 @@ mod tests {
     use std::fs;
 
     fn files(names: &[&str]) -> FrameFiles {
-        FrameFiles(names.iter().enumerate().map(|(i, name)| (2 * i, name.to_string())).collect())
+        names.iter().enumerate().map(|(i, name)| (2 * i, name.to_string())).collect()
     }
 
     #[test]
@@ -171,6 +185,12 @@ mod tests {
             assert_eq!(named("x/IMG_2.jpg", second), None::<Vec<String>>, "{second}");
         }
         assert_eq!(files(&["a.png"]).stems(&frames), None);
+    }
+
+    #[test]
+    fn frames_are_called_by_number_and_file() {
+        let files = files(&["x/IMG_2.jpg"]);
+        assert_eq!((files.name(0).as_str(), files.name(1).as_str()), ("0, x/IMG_2.jpg", "1"));
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! Messages about the content of files.
+//! Messages about files and their content.
 
 /// Characters at the beginning and at the end of a long message that are kept: what is quoted of a
 /// damaged file may be as long as the file, and pushes the rest off a terminal.
@@ -15,9 +15,30 @@ pub fn shortened(message: &str) -> String {
     chars().take(begin).chain(" ... ".chars()).chain(chars().skip(count - end)).collect()
 }
 
+/// Names in a line.
+const MAX_NAMES: usize = 8;
+
+/// The first of many names in a line, and the number of the others.
+pub fn listed(names: &[impl AsRef<str>]) -> String {
+    let first: Vec<&str> = names.iter().take(MAX_NAMES).map(AsRef::as_ref).collect();
+    let line = first.join(", ");
+    match names.len().saturating_sub(MAX_NAMES) {
+        0 => line,
+        more => format!("{line} and {more} more"),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn many_names_are_counted() {
+        assert_eq!(listed(&["a.jpg", "b.jpg"]), "a.jpg, b.jpg");
+        let names: Vec<String> = (0..10).map(|i| i.to_string()).collect();
+        assert_eq!(listed(&names), "0, 1, 2, 3, 4, 5, 6, 7 and 2 more");
+        assert_eq!(listed(&names[..8]), "0, 1, 2, 3, 4, 5, 6, 7");
+    }
 
     #[test]
     fn long_messages_keep_their_ends() {

@@ -16,8 +16,8 @@ use crate::failure::Failure;
 use crate::recording::Recorder;
 use clap::{Parser, Subcommand};
 
-/// SLAM that inverts image formation: a blurred, exposure-drifting video goes in, with depth or
-/// without, and a sharp HDR map and a camera path come out.
+/// SLAM on blurred video with drifting exposure, with depth or without: a sharp HDR map and the path of the
+/// camera.
 #[derive(Parser, Debug)]
 #[command(name = "i2slam", version, max_term_width = 100)]
 pub(crate) struct Arguments {

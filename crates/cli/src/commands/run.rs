@@ -1,6 +1,6 @@
 //! `i2slam run`: reconstructs a sequence into a result folder.
 
-use crate::arguments::{Input, Live, Machine, Rerun, existing_path};
+use crate::arguments::{Input, Live, Machine, Rerun, existing_path, memory, number};
 use crate::console::print_status;
 use crate::failure::Failure;
 use crate::held_out_frames::{HoldOut, parse_hold_out};
@@ -85,11 +85,16 @@ pub(crate) struct Run {
     #[arg(long)]
     pub(crate) overwrite: bool,
     /// Seed of all random choices; the same seed gives the same bytes
-    #[arg(long, value_name = "N")]
+    #[arg(
+        long,
+        value_name = "N",
+        allow_negative_numbers = true,
+        value_parser = number::<u64>("a whole number as in 7")
+    )]
     pub(crate) seed: Option<u64>,
     /// Memory of the run, about [GB]: pictures beyond a sixth of it wait in a file; no result depends on
     /// it
-    #[arg(long, value_name = "GB")]
+    #[arg(long, value_name = "GB", allow_negative_numbers = true, value_parser = memory)]
     pub(crate) memory: Option<f64>,
     #[command(flatten)]
     pub(crate) machine: Machine,
@@ -123,7 +128,12 @@ impl Run {
 #[derive(Args, Clone, Debug)]
 pub(crate) struct Formation {
     /// Virtual cameras over the exposure
-    #[arg(long, value_name = "N")]
+    #[arg(
+        long,
+        value_name = "N",
+        allow_negative_numbers = true,
+        value_parser = number::<usize>("a count of cameras as in 5")
+    )]
     pub(crate) virtual_cameras: Option<usize>,
     /// Model pictures as sharp, without motion blur
     #[arg(long)]

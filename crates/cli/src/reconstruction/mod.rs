@@ -9,7 +9,7 @@ use crate::failure::Failure;
 use crate::ground_truth::GroundTruth;
 use crate::held_out_frames::listed_frames;
 use crate::interrupt::Reading;
-use crate::live_viewer::LiveViewer;
+use crate::live_viewer::{LiveViewer, SequenceFrames};
 use crate::pose_lines::PoseLines;
 use crate::progress::Progress;
 use crate::recording::Recording;
@@ -60,7 +60,10 @@ impl Job<'_> {
     fn show_live(&self, sequence: &Sequence) {
         let title = self.title.unwrap_or(&sequence.name);
         let config = &self.options.config;
-        self.live.iter().for_each(|live| live.begin(title, config, &sequence.camera));
+        if let Some(live) = &self.live {
+            let frames = SequenceFrames::of(sequence, &self.dataset);
+            live.begin(title, config, (&sequence.camera, frames));
+        }
     }
 }
 

@@ -91,7 +91,8 @@ impl FinishedRun<'_> {
         measurements.metrics.peak_memory_bytes = peak_memory();
         measurements.metrics.complete = self.outcome.complete;
         let title = self.job.title.unwrap_or(&self.sequence.name);
-        let page = ViewerPage::of(title, reconstruction).html(taken_pictures(self.sequence));
+        let page = ViewerPage::of(title, reconstruction, &files);
+        let page = page.html(taken_pictures(self.sequence));
         if let Ok(page) = &page {
             note(folder.write_text(VIEWER_FILE, page).map_err(ResultError::from));
         }
@@ -108,7 +109,13 @@ impl FinishedRun<'_> {
         note(report.save(folder));
         if let Some(recording) = &self.job.recording {
             let mut load = taken_pictures(self.sequence);
-            let run = RecordedRun { title, reconstruction, load_picture: &mut load };
+            let run = RecordedRun {
+                title,
+                reconstruction,
+                files: &files,
+                has_times: !self.sequence.are_times_assumed,
+                load_picture: &mut load,
+            };
             note(recording.write(run).map_err(ResultError::from));
         }
         measurements.metrics.complete &= problems.is_empty();

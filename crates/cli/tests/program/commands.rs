@@ -177,9 +177,12 @@ fn every_command_has_a_manual_page() {
     assert!(options.contains(".TH i2slam-export 1"), "{options}");
     assert!(options.contains("min\\-opacity"), "{options}");
     let help = run(["--help"]).exits_with(0).out;
+    assert!(help.lines().all(|line| line.chars().count() <= 100), "{help}");
     let commands = help.lines().skip_while(|line| *line != "Commands:").skip(1);
-    let names = commands.map_while(|line| line.split_whitespace().next());
-    let names: Vec<_> = names.filter(|name| *name != "help").collect();
+    // Descriptions that go on in a next line are indented further.
+    let names = commands.take_while(|line| !line.is_empty());
+    let names = names.filter_map(|line| line.strip_prefix("  ")?.split(' ').next());
+    let names: Vec<_> = names.filter(|name| !matches!(*name, "" | "help")).collect();
     assert!(names.contains(&"demo") && names.contains(&"info"), "{names:?}");
     for name in names {
         assert!(folder.join(format!("i2slam-{name}.1")).is_file(), "{name}");

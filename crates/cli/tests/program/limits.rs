@@ -160,12 +160,17 @@ fn arguments_beyond_any_machine_are_refused() {
     for (flag, value) in [
         ("--threads", "1000000000"),
         ("--threads", "1025"),
+        ("--threads", "-1"),
+        ("--memory", "2GB"),
+        ("--memory", "-1"),
+        ("--depth-scale", "0"),
+        ("--depth-scale", "-5000"),
         ("--virtual-cameras", "65"),
         ("--hold-out", "1000001"),
         ("--scale", "1000"),
         ("--stride", "0"),
     ] {
-        room.run(&[flag, value]).exits_with(2);
+        room.run(&[flag, value]).exits_with(2).stderr_contains(value);
         assert!(!room.out.exists(), "{flag} {value}");
     }
     room.run(&["--stride", "9223372036854775807", "--render", "none"]).exits_with(0);

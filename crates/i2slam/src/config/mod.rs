@@ -17,6 +17,7 @@ pub use parameters::{
     TrackingParameters,
 };
 pub use presets::PRESET_NAMES;
+pub use ranges::{MAX_MEMORY, MIN_MEMORY};
 
 pub use i2slam_formation::{Quadrature, StartCurve, WhiteBalanceModel};
 

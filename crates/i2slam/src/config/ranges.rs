@@ -27,9 +27,10 @@ const MAX_LENGTH: f64 = 1e5;
 const MIN_LENGTH: f64 = 1e-6;
 /// Largest weight of a loss: products with gradients stay finite in single precision.
 const MAX_WEIGHT: f64 = 1e12;
-/// Memory of a run [GB].
-const MIN_MEMORY: f64 = 1e-3;
-const MAX_MEMORY: f64 = 1e5;
+/// Least memory of a run [GB].
+pub const MIN_MEMORY: f64 = 1e-3;
+/// Most memory of a run [GB].
+pub const MAX_MEMORY: f64 = 1e5;
 /// Longest time of a frame or between frames [s]: an hour.
 const MAX_TIME: f64 = 3600.0;
 /// Longest readout, and delay of depth [s].

@@ -21,6 +21,7 @@ use i2slam_dataset::import::ImportedKeyframes;
 use i2slam_dataset::{DepthPicture, Frame, Sequence};
 use i2slam_geometry::{Pose, StampedPose};
 use i2slam_odometry::{FrameUpdate, FrontEnd, PoseDeviation};
+use i2slam_storage::listed;
 use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
 use std::path::Path;
@@ -256,19 +257,11 @@ where
     found.refused().iter().map(left_out).chain(warnings).collect()
 }
 
-/// Files named in a warning.
-const MAX_NAMED_FILES: usize = 8;
-
 /// Names of the files of frames by number.
 fn file_names(sequence: &Sequence, frames: RangeInclusive<usize>) -> String {
     let entries = sequence.entries.iter().filter(|entry| frames.contains(&entry.index));
     let names = entries.filter_map(|entry| Some(entry.colour.file_name()?.to_string_lossy()));
-    let names: Vec<_> = names.collect();
-    let named = names.iter().take(MAX_NAMED_FILES).cloned().collect::<Vec<_>>().join(", ");
-    match names.len().saturating_sub(MAX_NAMED_FILES) {
-        0 => named,
-        more => format!("{named} and {more} more"),
-    }
+    listed(&names.collect::<Vec<_>>())
 }
 
 /// The picture at a place of a sequence.

@@ -22,6 +22,7 @@ pub fn html(
         generator,
         reconstruction: &scene.reconstruction,
         frames: &scene.frames,
+        files: &scene.files,
         up: scene.rotation(Axes::YDown).inverse().rotate(LEVEL_UP),
     };
     page.html(taken).map_err(|reason| ExportError::refused(format!("no 3D page: {reason}")))

@@ -38,15 +38,15 @@ pub(super) fn gallery(report: &Report<'_>) -> String {
         let shown = Some(comparison.index) == first;
         // Writing to a string cannot fail.
         let unit = UnitOfLength::of(&report.reconstruction.config);
-        let file = report.files.get(comparison.index);
-        write_pair(&mut out, (comparison, estimate(comparison), file), shown, unit).ok();
+        let name = report.files.name(comparison.index);
+        write_pair(&mut out, (comparison, estimate(comparison), &name), shown, unit).ok();
     }
     out
 }
 
 fn write_pair(
     out: &mut String,
-    (comparison, estimate, file): (&Comparison, Option<&FrameEstimate>, Option<&str>),
+    (comparison, estimate, name): (&Comparison, Option<&FrameEstimate>, &str),
     shown: bool,
     unit: UnitOfLength,
 ) -> std::fmt::Result {
@@ -60,8 +60,8 @@ fn write_pair(
         ("blurred", "predicted blur", data_address(&comparison.blurred)),
         ("depth", "depth", data_address(&depth_colours(&comparison.depth))),
     ];
-    for (kind, name, address) in right {
-        write!(out, "<img class=\"{kind}\" alt=\"{name} of frame {index}\" src=\"{address}\">")?;
+    for (kind, what, address) in right {
+        write!(out, "<img class=\"{kind}\" alt=\"{what} of frame {index}\" src=\"{address}\">")?;
     }
     let input = data_address(&comparison.input);
     write!(
@@ -71,10 +71,7 @@ fn write_pair(
          <input type=\"range\" min=\"0\" max=\"100\" step=\"0.1\" value=\"50\" \
          aria-label=\"share of the input picture\"></div>"
     )?;
-    write!(out, "<figcaption>Frame {index}")?;
-    if let Some(file) = file {
-        write!(out, ", {}", escape(file))?;
-    }
+    write!(out, "<figcaption>Frame {}", escape(name))?;
     if let Some(frame) = estimate {
         let exposure = significant(f64::from(frame.tone.exposure()));
         let blur = frame.blur_length;

@@ -10,6 +10,7 @@ mod scene;
 #[cfg(test)]
 mod tests;
 
+use crate::FrameFiles;
 use crate::export::level::{LEVEL_UP, Up, level, up_of_frames};
 use crate::html::{escape, fill, jpeg_address};
 use base64::Engine;
@@ -55,6 +56,8 @@ pub struct ViewerPage<'a> {
     pub reconstruction: &'a Reconstruction,
     /// The frames, of which those with a pose are shown.
     pub frames: &'a [FrameEstimate],
+    /// Files of the pictures taken, by which frames are called.
+    pub files: &'a FrameFiles,
     /// Direction against gravity, in the world.
     pub up: Vec3<f64>,
     /// What made the page, named in its head.
@@ -63,21 +66,24 @@ pub struct ViewerPage<'a> {
 
 impl<'a> ViewerPage<'a> {
     /// The page of a whole result; the vertical is estimated.
-    pub fn of(title: &'a str, reconstruction: &'a Reconstruction) -> Self {
+    pub fn of(title: &'a str, reconstruction: &'a Reconstruction, files: &'a FrameFiles) -> Self {
+        let page = Self::of_run(title, reconstruction, files);
         // A hash grid has no page, and its surfaces take long to find.
         if let Map::HashGrid(_) = reconstruction.map {
-            return Self::of_run(title, reconstruction);
+            return page;
         }
-        let up = level(reconstruction, Up::Estimated).inverse().rotate(LEVEL_UP);
-        let generator = concat!("i2slam ", env!("CARGO_PKG_VERSION"));
-        Self { title, reconstruction, frames: &reconstruction.frames, up, generator }
+        Self { up: level(reconstruction, Up::Estimated).inverse().rotate(LEVEL_UP), ..page }
     }
 
     /// The page of a run that goes on; cameras alone say where up is.
-    pub fn of_run(title: &'a str, reconstruction: &'a Reconstruction) -> Self {
+    pub fn of_run(
+        title: &'a str,
+        reconstruction: &'a Reconstruction,
+        files: &'a FrameFiles,
+    ) -> Self {
         let up = up_of_frames(&reconstruction.frames).unwrap_or(LEVEL_UP);
         let generator = concat!("i2slam ", env!("CARGO_PKG_VERSION"));
-        Self { title, reconstruction, frames: &reconstruction.frames, up, generator }
+        Self { title, reconstruction, frames: &reconstruction.frames, files, up, generator }
     }
 
     /// The text of the page. `taken` loads the picture of a frame (planes R, G, B in `[0, 1]`); a

@@ -59,6 +59,8 @@ struct SceneCamera {
 #[serde(rename_all = "camelCase")]
 struct SceneFrame {
     index: usize,
+    /// Number and file.
+    name: String,
     /// Since the first of them [s].
     time: f32,
     /// World from camera at mid-exposure.
@@ -101,6 +103,7 @@ impl Scene {
             let pose = frame.middle();
             SceneFrame {
                 index: frame.index,
+                name: page.files.name(frame.index),
                 time: (frame.timestamp - start) as f32,
                 position: pose.translation.to_array().map(|v| v as f32),
                 rotation: quaternion(frame),
@@ -188,6 +191,7 @@ fn response_table(curve: &ResponseCurve<f32>, channel: usize) -> Vec<u8> {
 mod tests {
     use super::super::quantise::quantised;
     use super::*;
+    use crate::FrameFiles;
     use crate::tests::example;
     use i2slam::formation::{CameraResponse, NodeSpacing, StartCurve};
     use i2slam::radiance::gaussian::{GaussianMap, Shape};
@@ -235,7 +239,8 @@ mod tests {
         reconstruction.frames[5].response = 2;
         let exponential = ColourActivation::Exponential;
         let map = quantised(&GaussianMap::new(Shape::Isotropic, exponential));
-        let page = ViewerPage::of("x", &reconstruction);
+        let files = FrameFiles::default();
+        let page = ViewerPage::of("x", &reconstruction, &files);
         let scene = Scene::new(&page, &map, exponential, |_| "</script>".into());
         assert_eq!(scene.responses.len(), 2);
         let places: Vec<usize> = scene.frames.iter().map(|frame| frame.response).collect();

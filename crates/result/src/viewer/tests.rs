@@ -6,7 +6,8 @@ use i2slam::radiance::gaussian::{ColourActivation, GaussianMap, Shape};
 
 fn page(reconstruction: &Reconstruction) -> String {
     let picture = |frame: &FrameEstimate| (frame.index != 4).then(|| Image::new(1000, 40, 3));
-    ViewerPage::of("a <b> sequence", reconstruction).html(picture).expect("a page")
+    let files = FrameFiles::from_iter([(4, "x/IMG <1>.jpg".to_owned())]);
+    ViewerPage::of("a <b> sequence", reconstruction, &files).html(picture).expect("a page")
 }
 
 /// The text of the element with that identifier.
@@ -42,6 +43,9 @@ fn the_page_holds_map_and_frames() {
     assert_eq!(indices, [0, 2, 4, 8, 10, 12, 14, 16, 18, 20, 22]);
     let has_picture = |frame: &serde_json::Value| frame["picture"] != "";
     assert!(frames.iter().all(|frame| has_picture(frame) == (frame["index"] != 4)));
+    let names: Vec<_> = frames.iter().filter_map(|frame| frame["name"].as_str()).collect();
+    assert_eq!(names[..4], ["0", "2", "4, x/IMG <1>.jpg", "8"]);
+    assert!(!page.contains("IMG <1>"));
     assert_eq!(scene["tone"], true);
     let up: Vec<f64> = serde_json::from_value(scene["up"].clone()).expect("a direction");
     assert!((up.iter().map(|v| v * v).sum::<f64>() - 1.0).abs() < 1e-6 && up[1] < -0.5, "{up:?}");
@@ -60,14 +64,15 @@ fn every_part_has_its_place() {
 fn maps_without_gaussians_have_no_page_and_say_why() {
     let mut reconstruction = example(3);
     reconstruction.map = Map::default();
-    let empty = ViewerPage::of("x", &reconstruction).html(|_| None);
+    let empty = ViewerPage::of("x", &reconstruction, &FrameFiles::default()).html(|_| None);
     assert_eq!(empty, Err(NoViewer::Empty));
     let mut map = GaussianMap::new(Shape::Isotropic, ColourActivation::Exponential);
     map.means = vec![[0.0; 3]; MAX_GAUSSIANS + 1];
     reconstruction.map = Map::Gaussians(map);
     let (frames, up) = (reconstruction.frames.as_slice(), Vec3::new(0.0, -1.0, 0.0));
     let (title, generator, reconstruction) = ("x", "i2slam", &reconstruction);
-    let page = ViewerPage { title, reconstruction, frames, up, generator };
+    let files = &FrameFiles::default();
+    let page = ViewerPage { title, reconstruction, frames, files, up, generator };
     let large = page.html(|_| None).expect_err("too large");
     assert!(large.to_string().contains("4000001 Gaussians"), "{large}");
 }
@@ -86,14 +91,16 @@ fn large_pictures_are_made_smaller() {
 #[test]
 fn a_live_page_starts_empty_and_is_updated() {
     let mut reconstruction = example(12);
-    let update = ViewerPage::of_run("x", &reconstruction).update().expect("an update");
+    let files = FrameFiles::from_iter([(2, "IMG_1.jpg".to_owned())]);
+    let update = ViewerPage::of_run("x", &reconstruction, &files).update().expect("an update");
     let update: serde_json::Value = serde_json::from_str(&update).expect("JSON");
     assert_eq!(update["scene"]["frames"].as_array().map(Vec::len), Some(11));
+    assert_eq!(update["scene"]["frames"][1]["name"], "2, IMG_1.jpg");
     let map = STANDARD.decode(update["map"].as_str().expect("text")).expect("base64");
     assert_eq!(map.len(), 18 * reconstruction.map.gaussians() + 72);
     reconstruction.frames.clear();
     reconstruction.map = Map::default();
-    let page = ViewerPage::of_run("x", &reconstruction).live_html().expect("a page");
+    let page = ViewerPage::of_run("x", &reconstruction, &files).live_html().expect("a page");
     assert!(page.contains("fetch(\"update?after=\""));
     let scene: serde_json::Value = serde_json::from_str(element(&page, "scene")).expect("JSON");
     assert_eq!((scene["gaussians"].as_u64(), element(&page, "map")), (Some(0), ""));

@@ -266,7 +266,7 @@ function picture(place) {
   if (!frames[place]?.picture) return null;
   if (!pictures.has(place)) {
     const image = new Image();
-    image.alt = "Frame " + frames[place].index + " as filmed";
+    image.alt = "Frame " + frames[place].name + " as filmed";
     image.src = frames[place].picture;
     image.draggable = false;
     pictures.set(place, image);
@@ -298,7 +298,7 @@ function showFrame() {
   $("steps").hidden = !frame;
   if (!frame) return;
   $("frame").value = state.frame;
-  const text = `Frame ${frame.index} · ${state.frame + 1} of ${frames.length} · blur ${frame.blur.toFixed(1)} px`;
+  const text = `Frame ${frame.name} · ${state.frame + 1} of ${frames.length} · blur ${frame.blur.toFixed(1)} px`;
   $("caption").textContent = $("frame").ariaValueText = text;
   const playing = state.playing !== null;
   $("play").ariaPressed = playing;
