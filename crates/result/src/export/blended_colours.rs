@@ -23,7 +23,7 @@ use i2slam::{FrameEstimate, Reconstruction};
 use rayon::prelude::*;
 
 /// Pictures that count, at most: evenly spaced among the frames.
-const PICTURES: usize = 16;
+const MAX_PICTURES: usize = 16;
 /// `ε` [px]: Gaussians that are hardly seen keep their colour.
 const MIN_PIXELS: f32 = 0.2;
 /// Least opacity of pixels that count: holes are filled in pictures, not in blends.
@@ -47,7 +47,7 @@ pub(crate) fn picture_splats(
 fn fit(splats: &mut [Splat], reconstruction: &Reconstruction, turn: Rotation<f64>) {
     let mut viewer = reconstruction.viewer();
     let mut blend = Blend::new(splats);
-    for frame in evenly_spaced(&reconstruction.frames) {
+    for frame in evenly_spaced(&reconstruction.frames, MAX_PICTURES) {
         let pose = frame.middle();
         let picture = viewer.sharp(&reconstruction.virtual_frame(frame.index, pose));
         let Pose { rotation, translation } = pose;
@@ -57,10 +57,10 @@ fn fit(splats: &mut [Splat], reconstruction: &Reconstruction, turn: Rotation<f64
     }
 }
 
-/// At most [`PICTURES`] of the frames that have a pose.
-fn evenly_spaced(frames: &[FrameEstimate]) -> Vec<&FrameEstimate> {
+/// At most so many of the frames that have a pose.
+pub(super) fn evenly_spaced(frames: &[FrameEstimate], most: usize) -> Vec<&FrameEstimate> {
     let tracked: Vec<_> = frames.iter().filter(|frame| frame.tracked).collect();
-    let count = tracked.len().min(PICTURES);
+    let count = tracked.len().min(most);
     (0..count).map(|k| tracked[(2 * k + 1) * tracked.len() / (2 * count)]).collect()
 }
 

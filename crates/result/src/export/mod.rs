@@ -18,6 +18,7 @@ pub mod mesh;
 pub mod nerfstudio;
 pub mod ply;
 mod scene;
+mod screen_filter;
 mod seed_points;
 mod seen;
 mod smooth_path;

@@ -1,9 +1,10 @@
 //! What is exported: a reconstruction, cut to what was asked for, and its levelled world.
 
 use super::axes::Axes;
-use super::blended_colours::picture_splats;
+use super::blended_colours::{evenly_spaced, picture_splats};
 use super::error::ExportError;
 use super::level::{Up, level};
+use super::screen_filter::widen_for_playcanvas;
 use super::seen::views;
 use super::splat::{Display, Splat, splats};
 use crate::{FrameFiles, UnitOfLength};
@@ -11,6 +12,9 @@ use i2slam::geometry::{Pose, Rotation, Vec3};
 use i2slam::radiance::gaussian::GaussianMap;
 use i2slam::{FrameEstimate, Map, Reconstruction};
 use std::collections::BTreeMap;
+
+/// Frames whose distances from a Gaussian are compared, evenly spread.
+const MAX_COMPARED_FRAMES: usize = 64;
 
 /// A box in the levelled world [m], from its least to its largest corner.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -191,6 +195,20 @@ impl Scene {
             true => splats(map, &Display::Linear, turn),
             false => picture_splats(&self.reconstruction, map, turn),
         })
+    }
+
+    /// [`splats`](Self::splats) for PlayCanvas and SuperSplat, which widen Gaussians less than other viewers: as
+    /// much wider as these draw them in the nearest frame.
+    ///
+    /// # Errors
+    /// As [`splats`](Self::splats).
+    pub fn splats_for_playcanvas(&self, axes: Axes) -> Result<Vec<Splat>, ExportError> {
+        let mut splats = self.splats(axes)?;
+        let frames = evenly_spaced(&self.reconstruction.frames, MAX_COMPARED_FRAMES);
+        let poses: Vec<Pose<f64>> =
+            frames.into_iter().map(|frame| self.pose(frame, axes)).collect();
+        widen_for_playcanvas(&mut splats, &self.reconstruction.camera, &poses);
+        Ok(splats)
     }
 }
 

@@ -87,7 +87,7 @@ fn write(arguments: &Export, scene: &Scene, watch: &Watch<'_>) -> Result<String,
         }
         Format::Html => page::write(arguments, scene),
         Format::CompressedPly => {
-            let splats = scene.splats(Axes::YDown)?;
+            let splats = scene.splats_for_playcanvas(Axes::YDown)?;
             write_file(out, |file| compressed_ply::write(file, &splats, &mark("compressed-ply")))?;
             Ok(counted(splats.len(), "Gaussian"))
         }
