@@ -55,7 +55,7 @@ pub(crate) fn demo(arguments: &Demo, recorder: Option<Recorder>) -> Result<(), F
     if !job.quiet && is_result(&job.out) {
         let out = job.out.display();
         print_status(&format!(
-            "note: the earlier result in {out} will be replaced; --out DIR keeps it"
+            "note: this run replaces the earlier result in {out}; another --out keeps it"
         ));
     }
     unpack(&job.dataset)?;
