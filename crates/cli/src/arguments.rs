@@ -121,10 +121,18 @@ fn thread_count(text: &str) -> Result<u16, String> {
     text.trim().parse().ok().filter(|count| THREADS.contains(count)).ok_or(expected)
 }
 
+/// Largest depth value of one metre that is accepted: the largest reading of 16 bits is 0.1 m, less than
+/// most depth cameras measure at all.
+const MAX_DEPTH_SCALE: f64 = 655_350.0;
+
 fn depth_scale(text: &str) -> Result<f64, String> {
-    let expected = "expected the depth value of one metre, a number above 0, as in 1000 or 5000";
-    let scale = text.trim().parse().ok().filter(|scale: &f64| scale.is_finite() && *scale > 0.0);
-    scale.ok_or_else(|| expected.to_owned())
+    let scale = text.trim().parse().ok();
+    scale.filter(|scale| *scale > 0.0 && *scale <= MAX_DEPTH_SCALE).ok_or_else(|| {
+        format!(
+            "expected the depth value of one metre, a number above 0 and at most {MAX_DEPTH_SCALE} (with \
+             which 16 bits end at 0.1 m), as in 1000 or 5000"
+        )
+    })
 }
 
 /// Parses the memory of a run [GB].
@@ -231,7 +239,7 @@ mod tests {
     #[test]
     fn wrong_numbers_are_answered_with_what_is_expected() {
         assert_eq!((thread_count("4"), memory("0.5")), (Ok(4), Ok(0.5)));
-        assert_eq!(depth_scale(" 5000"), Ok(5000.0));
+        assert_eq!((depth_scale(" 5000"), depth_scale("655350")), (Ok(5000.0), Ok(655_350.0)));
         for wrong in ["0", "-1", "nan", "inf", "four", "2GB", "1e400", "1e6x", ""] {
             let answers = [
                 (thread_count(wrong).err(), "1 to 1024, as in 4"),
@@ -244,7 +252,7 @@ mod tests {
             }
         }
         assert!(thread_count("1025").is_err() && thread_count("1.5").is_err());
-        assert!(memory("1e6").is_err());
+        assert!(memory("1e6").is_err() && depth_scale("700000").is_err());
     }
 
     #[test]

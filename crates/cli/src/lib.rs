@@ -1,5 +1,6 @@
-//! The program `i2slam`, RGB-D SLAM that inverts image formation, as a library of one call: a program
-//! that records runs in a format of its own hands its [`Recorder`] over.
+//! The program `i2slam`, which makes sharp 3D maps in high dynamic range and camera paths from blurred
+//! video, as a library of one call: a program that records runs in a format of its own hands its
+//! [`Recorder`] over.
 
 mod allocator;
 mod arguments;

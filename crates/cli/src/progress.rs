@@ -9,6 +9,7 @@ use crate::pose_lines::PoseLines;
 use i2slam::geometry::StampedPose;
 use i2slam::run::{CameraEstimate, Observer, RuntimeForecast, Stage};
 use i2slam::{CancellationToken, FrameEstimate, Reconstruction, Warning};
+use i2slam_result::FrameFiles;
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::IsTerminal;
 use std::sync::{Arc, Mutex};
@@ -30,6 +31,8 @@ pub(crate) struct Progress {
     phase: Arc<Mutex<Phase>>,
     poses: Option<Arc<PoseLines>>,
     live: Option<Arc<LiveViewer>>,
+    /// Files by which warnings call frames.
+    files: Arc<FrameFiles>,
     /// Whether flags can make the run smaller, which long ones are advised of.
     is_adjustable: bool,
 }
@@ -69,7 +72,8 @@ impl Phase {
 
     /// True if frames are mapped in it.
     fn maps_frames(&self) -> bool {
-        [Stage::Online, Stage::Frames, Stage::Keyframes].iter().any(|s| s.name() == self.name)
+        let stages = [Stage::Online, Stage::Frames, Stage::Keyframes, Stage::Mapping];
+        stages.iter().any(|stage| stage.name() == self.name)
     }
 
     /// Expected time for the remaining steps in words, once it can be extrapolated.
@@ -98,7 +102,8 @@ impl Progress {
             Display::Lines(Lines { last, named: Arc::default() })
         };
         let phase = Arc::new(Mutex::new(Phase::new("frames", 0, total)));
-        Self { display, phase, poses: None, live: None, is_adjustable: true }
+        let files = Arc::default();
+        Self { display, phase, poses: None, live: None, files, is_adjustable: true }
     }
 
     /// With a line for every pose as soon as it is known.
@@ -109,6 +114,11 @@ impl Progress {
     /// With a page that follows the run.
     pub(crate) fn with_live_viewer(self, live: Option<Arc<LiveViewer>>) -> Self {
         Self { live, ..self }
+    }
+
+    /// With warnings that call frames by their files, too.
+    pub(crate) fn with_files(self, files: FrameFiles) -> Self {
+        Self { files: Arc::new(files), ..self }
     }
 
     /// Without advice on flags, for commands that have none.
@@ -241,7 +251,7 @@ impl Observer for Progress {
     }
 
     fn warning(&self, warning: &Warning) {
-        self.warn(&warning.text);
+        self.warn(&warning.clone().with_frame_name(|index| self.files.name(index)).text);
     }
 
     fn camera(&self, camera: &CameraEstimate) {

@@ -1,5 +1,5 @@
-//! SLAM that inverts image formation: a blurred, exposure-drifting video goes in, a sharp
-//! HDR Gaussian map and a camera trajectory come out.
+//! Sharp 3D maps in high dynamic range and camera paths from blurred video, with a depth camera or
+//! without.
 //!
 //! ```no_run
 //! use i2slam::{RunOptions, reconstruct};

@@ -105,6 +105,7 @@ fn frames_are_mapped_while_they_come() {
     assert_eq!(indices(&outcome), (0..FRAMES).collect::<Vec<_>>());
     let stages = recorder.stages.lock().expect("done");
     assert_eq!(stages.first(), Some(&Stage::Online));
+    assert!(stages.contains(&Stage::Mapping) && !stages.contains(&Stage::Keyframes));
     assert_eq!(stages.last(), Some(&Stage::Refinement));
     let frames = recorder.frames.lock().expect("done");
     assert!((0..FRAMES).all(|index| frames.iter().any(|frame| frame.0 == index)), "{frames:?}");

@@ -22,8 +22,8 @@ pub enum Warning {
     },
     /// Consecutive frames with points of their own, but too few in common with the others.
     #[error(
-        "frames {} to {} could not be connected to the others: they show another place, or too little of the same one; to map them, run those frames alone",
-        .frames[0], .frames[1]
+        "{} could not be connected to the others: they show another place, or too little of the same one; to map them, run those frames alone",
+        subject(*.frames)
     )]
     DisconnectedFrames {
         /// First and last frame.
@@ -31,8 +31,8 @@ pub enum Warning {
     },
     /// Consecutive frames without points to track.
     #[error(
-        "frames {} to {} have no points to track: the lens was covered, or they are too dark or too blurred",
-        .frames[0], .frames[1]
+        "{} without points to track: the lens was covered, or it is too dark or too blurred there",
+        are(*.frames)
     )]
     UntrackableFrames {
         /// First and last frame.
@@ -150,12 +150,18 @@ pub enum Warning {
     DistortionUndetermined,
 }
 
-/// Frames as a subject: "frame 3 is", "frames 3 to 5 are".
-fn are([first, last]: [usize; 2]) -> String {
+/// Frames as a subject: "frame 3", "frames 3 to 5".
+fn subject([first, last]: [usize; 2]) -> String {
     match first == last {
-        true => format!("frame {first} is"),
-        false => format!("frames {first} to {last} are"),
+        true => format!("frame {first}"),
+        false => format!("frames {first} to {last}"),
     }
+}
+
+/// Frames as a subject with its verb: "frame 3 is", "frames 3 to 5 are".
+fn are(frames: [usize; 2]) -> String {
+    let verb = if frames[0] == frames[1] { "is" } else { "are" };
+    format!("{} {verb}", subject(frames))
 }
 
 /// As [`are`] for `count` frames that repeat something.

@@ -5,6 +5,7 @@ use crate::console::print_status;
 use crate::failure::Failure;
 use crate::reconstruction::{self, Job, RenderSelection};
 use crate::recording::{Recorder, Recording};
+use crate::result_folder::is_result;
 use clap::Args;
 use i2slam::RunOptions;
 use i2slam_storage::{Claim, OutputFolder};
@@ -51,6 +52,12 @@ pub(crate) fn demo(arguments: &Demo, recorder: Option<Recorder>) -> Result<(), F
         title: Some("demo clip"),
     };
     job.check_output()?;
+    if !job.quiet && is_result(&job.out) {
+        let out = job.out.display();
+        print_status(&format!(
+            "note: this run replaces the earlier result in {out}; another --out keeps it"
+        ));
+    }
     unpack(&job.dataset)?;
     if !arguments.machine.quiet {
         let how = if arguments.rgb { ", by colour alone" } else { "" };

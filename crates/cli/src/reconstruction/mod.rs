@@ -17,7 +17,7 @@ use crate::{interrupt, messages};
 use i2slam::dataset::{DatasetError, LiveSequence, RecordedSequence, Sequence, is_video};
 use i2slam::run::{TrackedStream, reconstruct_stream};
 use i2slam::{PoseSource, RunError, RunOptions, Warning, reconstruct};
-use i2slam_result::NAMES;
+use i2slam_result::{FrameFiles, NAMES};
 use i2slam_storage::{Claim, OutputFolder};
 pub(crate) use pictures::RenderSelection;
 use shortfall::with_shortfall;
@@ -129,7 +129,8 @@ fn reconstruct_into(
         Some((tracked, progress)) => (Some(tracked), progress.with_poses(None)),
         None => (None, Progress::new(sequence.len(), job.quiet).with_poses(job.poses.clone())),
     };
-    progress = progress.with_live_viewer(job.live.clone());
+    let files = FrameFiles::of(sequence, &job.dataset);
+    progress = progress.with_live_viewer(job.live.clone()).with_files(files.clone());
     if job.title.is_some() {
         progress = progress.without_advice();
     }
@@ -153,6 +154,7 @@ fn reconstruct_into(
         None => reconstruct(sequence, &options, progress.clone()),
     };
     let written = outcome.map_err(failure).and_then(|outcome| {
+        let outcome = outcome.with_frame_names(|index| files.name(index));
         let undistorted = outcome.undistorted.clone();
         // True pictures have the same lens distortion.
         let undistorted_truth =

@@ -51,8 +51,13 @@ fn json_has_the_numbers() {
     assert_eq!(told["paper_frames"], serde_json::Value::Null);
     let pictures = &told["pictures"];
     assert_eq!(pictures["measured_frames"], 5);
-    assert!(pictures["unreadable"][0].as_str().expect("words").contains("frame 4"));
-    assert_eq!(pictures["odd"][0], "frame 2: the colour image is black");
+    assert!(
+        pictures["unreadable"][0]
+            .as_str()
+            .expect("words")
+            .contains("frame 4, rgb/100.160000.png: ")
+    );
+    assert_eq!(pictures["odd"][0], "frame 2, rgb/100.080000.png: the colour image is black");
     assert_eq!(pictures["true_exposure_range_stops"], 3.0);
     let number = |value: &serde_json::Value| value.as_f64().expect("a number");
     assert_eq!(number(&pictures["brightness"]["lowest"]), 0.0);

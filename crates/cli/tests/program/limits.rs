@@ -32,7 +32,11 @@ fn first_error(ran: &Ran) -> &str {
 fn a_run_that_found_nothing_ends_with_exit_status_1() {
     let room = Room::new("nothing", few());
     let cases: [(&[&str], &str, &str); 2] = [
-        (&["--depth-scale", "1e-300"], "wrong depth scale?", "frame 0: it has no depth"),
+        (
+            &["--depth-scale", "1e-300"],
+            "wrong depth scale?",
+            "frame 0, rgb/100.000000.png: it has no depth",
+        ),
         (
             &["--intrinsics", "1e-5", "1e-5", "48", "36"],
             "intrinsics that are not in pixels? With a focal length of 0.00001 px",
@@ -165,6 +169,7 @@ fn arguments_beyond_any_machine_are_refused() {
         ("--memory", "-1"),
         ("--depth-scale", "0"),
         ("--depth-scale", "-5000"),
+        ("--depth-scale", "700000"),
         ("--virtual-cameras", "65"),
         ("--hold-out", "1000001"),
         ("--scale", "1000"),

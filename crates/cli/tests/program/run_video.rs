@@ -1,7 +1,9 @@
 //! `i2slam run` and `info` on videos, by colour alone, with and without a camera.
 
 use crate::footage::{FOCAL, Footage, HEIGHT, View, WIDTH, walk};
-use crate::program::{Ran, Running, Scene, i2slam, json, number, program};
+use crate::program::{
+    Ran, Running, Scene, TemporaryFolder, i2slam, json, number, program, reconstruct, write_colour,
+};
 use serde_json::Value;
 use std::fs;
 use std::path::Path;
@@ -211,6 +213,34 @@ fn frames_that_break_off_are_left_out() {
     fs::write(video.with_extension("mp4.rgb"), &frames[..frames.len() * 3 / 4 + 7]).expect("room");
     let ran = footage.run(&video, &["--fov", "63.2"]).exits_with(0);
     ran.stderr_contains("frame 12: left out").stderr_contains("cannot be decoded");
+}
+
+/// One is cut off, one is black.
+#[test]
+fn warnings_call_photographs_by_their_files() {
+    let scratch = TemporaryFolder::new("photographs");
+    let (folder, out) = (scratch.join("holiday"), scratch.join("out"));
+    let clip = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/demo/rgb");
+    let found = fs::read_dir(clip).expect("the clip").flatten().map(|file| file.path());
+    let mut pictures: Vec<_> = found.collect();
+    pictures.sort();
+    fs::create_dir(&folder).expect("room");
+    for (i, picture) in pictures.iter().take(9).enumerate() {
+        let bytes = fs::read(picture).expect("a picture");
+        let end = if i == 5 { bytes.len() / 2 } else { bytes.len() };
+        fs::write(folder.join(format!("IMG_1{i}.jpg")), &bytes[..end]).expect("room");
+    }
+    fs::remove_file(folder.join("IMG_13.jpg")).expect("it is there");
+    write_colour(&folder.join("IMG_13.png"), (304, 224), &[0; 304 * 224 * 3]);
+    let flags = ["--rgb", "--max-side", "96", "--render", "none"];
+    let ran = reconstruct(&folder, &out, &flags).exits_with(0);
+    let metrics = fs::read_to_string(out.join("metrics.json")).expect("metrics");
+    let report = fs::read_to_string(out.join("report.html")).expect("a report");
+    for words in ["frame 5, IMG_15.jpg: left out: ", "frame 3, IMG_13.png, is black"] {
+        for told in [&ran.err, &metrics, &report] {
+            assert!(told.contains(words), "{words} is not in {told}");
+        }
+    }
 }
 
 #[test]

@@ -109,6 +109,14 @@ impl<'a> Input<'a> {
         }
     }
 
+    /// Stage of its items, after as many that were mapped while they came.
+    fn stage(&self, before: usize) -> Stage {
+        match self.kind.stage {
+            Stage::Keyframes if before + self.count > self.keyframes => Stage::Mapping,
+            stage => stage,
+        }
+    }
+
     fn none_usable(&self) -> String {
         match (self.kind.stage, self.count) {
             (Stage::Keyframes, _) => "no keyframe could be used".to_owned(),
@@ -140,7 +148,7 @@ pub(super) fn run<'a>(
             (session, hold_out, 0, Vec::new())
         }
     };
-    context.observer.progress(input.kind.stage, before, before + input.count);
+    context.observer.progress(input.stage(before), before, before + input.count);
     session.set_found_readout(input.readout);
     session.set_unordered(input.is_unordered);
     session.share_steps(&options.config, input.keyframes, before + input.count);

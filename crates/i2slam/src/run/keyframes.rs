@@ -250,7 +250,11 @@ where
             format!("{warning}: {}", file_names(sequence, first..=last)),
         ),
         _ => match warning.frames() {
-            Some([first, last]) => Warning::of_frames((first, last), warning.to_string()),
+            Some([first, last]) => {
+                let text = warning.to_string();
+                let last_frame = (first != last).then_some(last);
+                Warning { frame: Some(first), last_frame, text, time_s: None }
+            }
             None => warning.to_string().into(),
         },
     });

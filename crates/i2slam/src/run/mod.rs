@@ -256,6 +256,23 @@ pub struct RunOutcome {
     pub warnings: Vec<Warning>,
 }
 
+impl RunOutcome {
+    /// Calls single frames by `name` in place of their numbers, in warnings and shortfalls.
+    #[must_use]
+    pub fn with_frame_names(mut self, name: impl Fn(usize) -> String) -> Self {
+        for warning in &mut self.warnings {
+            let named = warning.clone().with_frame_name(&name);
+            for shortfall in &mut self.shortfalls {
+                if let Some(before) = shortfall.strip_suffix(&warning.text) {
+                    *shortfall = format!("{before}{named}");
+                }
+            }
+            *warning = named;
+        }
+        self
+    }
+}
+
 /// Whether a sequence with depth is too small for the front end, and tracked against the map.
 fn is_small(sequence: &Sequence) -> bool {
     sequence.len() < MIN_FRONT_END_FRAMES || has_small_pictures(sequence)

@@ -20,6 +20,8 @@ pub enum Stage {
     Frames,
     /// Mapping of keyframes; counts keyframes.
     Keyframes,
+    /// Mapping of keyframes and the frames between them; counts frames.
+    Mapping,
     /// Final refinement of the map after the last frame; counts steps.
     MapRefinement,
     /// Final refinement of map and poses, and localisation of all other frames; counts steps and
@@ -41,6 +43,7 @@ impl Stage {
             Self::Online => "tracking and mapping",
             Self::Frames => "frames",
             Self::Keyframes => "keyframes",
+            Self::Mapping => "mapping frames",
             Self::MapRefinement => "refining the map",
             Self::Refinement => "refining map and poses",
         }

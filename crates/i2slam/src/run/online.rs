@@ -122,7 +122,7 @@ impl OnlineFrames {
             }
         };
         mapped.total.store(mapping.sent(), Ordering::Relaxed);
-        context.observer.progress(KEYFRAMES.stage, mapped.done(), mapping.sent());
+        context.observer.progress(Stage::Mapping, mapped.done(), mapping.sent());
         let large = sequence.at_least(ODOMETRY_SIDE);
         let load: BoxedLoader = Box::new(move |place| picture(&large, place));
         let is_rate_right = (frame_rate / sequence.frame_rate).ln().abs() < MAX_RATE_CHANGE;

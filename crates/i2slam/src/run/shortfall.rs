@@ -158,6 +158,12 @@ mod tests {
         assert_eq!(of_result(&photographs(3, 3), &options).len(), 1);
         let few = "2 of 6 photographs were placed: frame 2: it has no depth";
         assert_eq!(of_result(&photographs(2, 4), &options)[0], few);
+        let mut named = photographs(2, 4);
+        named.shortfalls = of_result(&named, &options);
+        let named = named.with_frame_names(|index| format!("{index}, {index}.png"));
+        let few = "2 of 6 photographs were placed: frame 2, 2.png: it has no depth";
+        assert_eq!(named.shortfalls[0], few);
+        assert_eq!(named.warnings[1].text, "frame 2, 2.png: it has no depth");
     }
 
     #[test]

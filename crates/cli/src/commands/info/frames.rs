@@ -7,6 +7,7 @@ use crate::progress::Progress;
 use i2slam::dataset::{DatasetError, Frame, Layout, Sequence};
 use i2slam_eval::sharpness::{SharpnessRule, laplacian_variance, sharp_frames};
 use i2slam_eval::statistics::percentile;
+use i2slam_result::FrameFiles;
 use rayon::prelude::*;
 use serde::Serialize;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -87,17 +88,17 @@ struct FrameStats {
 
 impl PictureStats {
     pub(super) fn new(
-        sequence: &Sequence,
+        (sequence, files): (&Sequence, &FrameFiles),
         truth: &GroundTruth,
         progress: &Progress,
     ) -> Result<Self, Failure> {
-        let (seen, unreadable) = measure_all(sequence, progress)?;
+        let (seen, unreadable) = measure_all((sequence, files), progress)?;
         if seen.is_empty() {
             let first = unreadable.into_iter().next().unwrap_or_default();
             return Err(Failure::Failed(format!("no frame can be read: {first}")));
         }
         let odd = seen.iter().flat_map(|frame| {
-            frame.odd.iter().map(|what| format!("frame {}: {what}", frame.index))
+            frame.odd.iter().map(|what| format!("frame {}: {what}", files.name(frame.index)))
         });
         Ok(Self {
             measured_frames: seen.len(),
@@ -113,7 +114,7 @@ impl PictureStats {
 
 /// Measures all frames in order; the second list says why others cannot be read.
 fn measure_all(
-    sequence: &Sequence,
+    (sequence, files): (&Sequence, &FrameFiles),
     progress: &Progress,
 ) -> Result<(Vec<FrameStats>, Vec<String>), Failure> {
     let done = AtomicUsize::new(0);
@@ -124,7 +125,7 @@ fn measure_all(
         let index = sequence.entries[place].index;
         let stats = match frame {
             Ok(frame) => Ok(FrameStats::new(&frame)?),
-            Err(error) => Err(format!("frame {index}: {error}")),
+            Err(error) => Err(format!("frame {}: {error}", files.name(index))),
         };
         progress.step("frames", done.fetch_add(1, Ordering::Relaxed) + 1, sequence.len());
         Ok(stats)

@@ -14,6 +14,7 @@ use clap::Args;
 use frames::PictureStats;
 use i2slam::dataset::{DatasetError, Sequence, is_video};
 use i2slam::{Config, PoseSource, RunOptions};
+use i2slam_result::FrameFiles;
 use sequence::{CameraInfo, SequenceInfo, TimeInfo};
 use serde::Serialize;
 use std::path::PathBuf;
@@ -90,7 +91,8 @@ pub(crate) fn info(arguments: &Info) -> Result<(), Failure> {
     } else {
         let progress = Progress::new(sequence.len(), arguments.machine.quiet);
         interrupt::listen();
-        let pictures = PictureStats::new(&sequence, &truth, &progress);
+        let files = FrameFiles::of(&sequence, &arguments.dataset);
+        let pictures = PictureStats::new((&sequence, &files), &truth, &progress);
         progress.clear();
         Some(pictures?)
     };
