@@ -17,6 +17,9 @@ const IMAGE_WEIGHT: f32 = 0.5;
 const SSIM_SHARE: f32 = 0.2;
 /// Learning rate of the coefficients of view colours, as a share of that of colours.
 const VIEW_COLOUR_RATE: f32 = 0.5;
+/// Share of the differences between the channels of view colours that a step takes away. Gloss adds light of
+/// nearly one colour; what few views tell of each channel alone would be coloured dots beside the path.
+const CHANNEL_DECAY: f32 = 0.1;
 /// Learning rate of opacity logits (SplaTAM).
 const OPACITY_RATE: f32 = 0.05;
 
@@ -193,6 +196,11 @@ impl GaussianOptimizer {
             3,
             step_counts,
         );
+        let rows = map.view_colours.coefficients_mut();
+        rows.iter_mut().zip(step_counts).filter(|(_, steps)| **steps > 0).for_each(|(row, _)| {
+            let mean = row.iter().sum::<f32>() / 3.0;
+            *row = row.map(|value| value - CHANNEL_DECAY * (value - mean));
+        });
     }
 }
 
@@ -237,7 +245,7 @@ impl StepCounts {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use i2slam_radiance::gaussian::{ColourActivation, Gaussian};
+    use i2slam_radiance::gaussian::{ColourActivation, Cone, Gaussian};
 
     #[test]
     fn only_seen_gaussians_count_a_step() {
@@ -260,5 +268,22 @@ mod tests {
         gradient.colours[1][2] = 0.0;
         gradient.opacity_logits[0] = -1.0;
         assert_eq!(step_counts.advance(2, |i| has_gradient(&gradient, i)), [3, 0]);
+    }
+
+    /// Differences between channels decay where a view colour is seen, their mean stays.
+    #[test]
+    fn channels_of_view_colours_come_together() {
+        let mut map = GaussianMap::new(Shape::Anisotropic, ColourActivation::Exponential);
+        let cone = Cone { rotation: [1.0, 0.0, 0.0, 0.0], spread: 0.1 };
+        let row = [0.4, -0.1, 0.3];
+        (0..2).for_each(|i| map.view_colours.push(i, cone, &[row; 2]));
+        let mut optimizer = GaussianOptimizer::new();
+        optimizer.gradient.view_colours = vec![[0.0; 3]; 4];
+        optimizer.gradient.view_colours[0] = [1e-6; 3];
+        optimizer.step_view_colours(0.0, &mut map);
+        let rows = map.view_colours.coefficients_mut();
+        let due = row.map(|value| 0.2 + (1.0 - CHANNEL_DECAY) * (value - 0.2));
+        assert!(rows[0].iter().zip(due).all(|(a, b)| (a - b).abs() < 1e-6), "{rows:?}");
+        assert_eq!(rows[1..], [row; 3]);
     }
 }
