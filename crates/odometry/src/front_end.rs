@@ -62,6 +62,8 @@ pub struct FrontEnd {
     map: OnlineMap,
     /// Pictures and depth of all frames.
     scratch: Arc<ScratchStore>,
+    /// True if the last picture that repeats no other is held out.
+    is_held_out: bool,
 }
 
 impl FrontEnd {
@@ -71,7 +73,7 @@ impl FrontEnd {
         let state = SfmState::new(*intrinsics.camera(), Tracks::default());
         let map = OnlineMap::new(state, !matches!(intrinsics, Intrinsics::Known(_)));
         let (photographs, scratch) = (PhotoCollection::default(), ScratchStore::in_memory());
-        Self { intrinsics, tracker, picture_checks, photographs, map, scratch }
+        Self { intrinsics, tracker, picture_checks, photographs, map, scratch, is_held_out: false }
     }
 
     /// Disables loop closure, before the first picture.
@@ -108,8 +110,9 @@ impl FrontEnd {
         self.push_frame((picture, false), timestamp, depth)
     }
 
-    /// [`push`](Self::push) of a picture that is held out of the map to be made: it becomes a keyframe only
-    /// where tracking needs one and no picture after it could be one in time.
+    /// [`push`](Self::push) of a picture that is held out of the map to be made: it becomes a keyframe only as
+    /// the first one, after a cut, or where one has been due for three pictures. A picture that repeats the one
+    /// before is held out as that is.
     ///
     /// # Errors
     ///
@@ -138,6 +141,10 @@ impl FrontEnd {
         }
         depth.map_or(Ok(()), |depth| PictureError::check_depth(depth, expected))?;
         self.picture_checks.add(picture);
+        if !self.picture_checks.is_repeat[self.map.state.poses.len()] {
+            self.is_held_out = is_held_out;
+        }
+        let is_held_out = self.is_held_out;
         let depth = depth.filter(|depth| self.is_in_time(depth.timestamp - timestamp));
         // Points are followed without the map, and the map grows by pictures that were tracked already.
         let (tracked, is_loop_closed) =
@@ -220,7 +227,7 @@ impl FrontEnd {
             return Err(OdometryError::StillCamera { motion: 0.0 });
         }
         let adjust_focal = !matches!(self.intrinsics, Intrinsics::Known(_));
-        let Self { intrinsics, tracker, picture_checks, photographs, map, scratch } = self;
+        let Self { intrinsics, tracker, picture_checks, photographs, map, scratch, .. } = self;
         drop(tracker);
         let closes_loops = map.closes_loops;
         let (online, online_poses) = map.into_state_and_poses();

@@ -3,8 +3,8 @@
 use super::MappingConfig;
 use std::collections::BTreeMap;
 
-/// Decides once for every frame whether it is held out: one that is delivered again keeps the
-/// decision, and takes no part in the count. The default holds none out.
+/// Frames that are held out, each decided once: one that is delivered again keeps the decision, and takes
+/// no part in the count. The default holds none out.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct HoldOut {
     mapping: Option<MappingConfig>,
@@ -13,17 +13,30 @@ pub(crate) struct HoldOut {
 }
 
 impl HoldOut {
-    /// As these settings say, before the first frame.
+    /// No frame so far, of those that settings hold out.
     pub(crate) fn new(mapping: &MappingConfig) -> Self {
         Self { mapping: Some(mapping.clone()), decided: BTreeMap::new() }
     }
 
-    /// True if the frame with this index is held out.
-    pub(crate) fn holds_out(&mut self, index: usize) -> bool {
-        let number = self.decided.len();
-        let mapping = self.mapping.as_ref();
-        let decide = || mapping.is_some_and(|mapping| mapping.holds_out(number, index));
-        *self.decided.entry(index).or_insert_with(decide)
+    /// Frames with these indices, whether they can be read or not.
+    pub(crate) fn of_frames(mapping: &MappingConfig, indices: impl Iterator<Item = usize>) -> Self {
+        let mut all = Self::new(mapping);
+        indices.for_each(|index| _ = all.decide(index));
+        all
+    }
+
+    /// True if the frame with this index is held out, or would be as the next one.
+    pub(crate) fn is_held_out(&self, index: usize) -> bool {
+        let (number, mapping) = (self.decided.len(), self.mapping.as_ref());
+        let is_due = || mapping.is_some_and(|mapping| mapping.holds_out(number, index));
+        self.decided.get(&index).copied().unwrap_or_else(is_due)
+    }
+
+    /// Counts the frame with this index; true if it is held out.
+    pub(crate) fn decide(&mut self, index: usize) -> bool {
+        let is_held_out = self.is_held_out(index);
+        self.decided.insert(index, is_held_out);
+        is_held_out
     }
 
     /// Number of frames so far, those held out included.
@@ -43,7 +56,7 @@ mod tests {
         mapping.hold_out = 3;
         let mut hold_out = HoldOut::new(&mapping);
         let mut held_out = |indices: &[usize]| -> Vec<usize> {
-            indices.iter().copied().filter(|i| hold_out.holds_out(*i)).collect()
+            indices.iter().copied().filter(|i| hold_out.decide(*i)).collect()
         };
         assert_eq!(held_out(&[0, 2, 4, 6, 8]), [6]);
         // Again and out of order, and others later.
@@ -52,7 +65,19 @@ mod tests {
         assert_eq!(hold_out.frames(), 7);
         (mapping.hold_out, mapping.hold_out_frames) = (0, vec![0, 5]);
         let mut named = HoldOut::new(&mapping);
-        let held_out = (0..8).filter(|i| named.holds_out(*i)).collect::<Vec<_>>();
+        let held_out = (0..8).filter(|i| named.decide(*i)).collect::<Vec<_>>();
         assert_eq!(held_out, [0, 5]);
+        assert!(!(0..8).any(|i| HoldOut::default().decide(i)));
+    }
+
+    /// Asking alone does not count.
+    #[test]
+    fn frames_of_a_sequence_are_decided_at_once() {
+        let mut mapping = Config::default().mapping;
+        mapping.hold_out = 2;
+        let all = HoldOut::of_frames(&mapping, [3, 5, 7, 9, 11].into_iter());
+        assert_eq!([3, 5, 7, 9, 11].map(|i| all.is_held_out(i)), [false, false, true, false, true]);
+        let next = HoldOut::of_frames(&mapping, [3, 5].into_iter());
+        assert!(next.is_held_out(8) && next.is_held_out(9) && next.frames() == 2);
     }
 }

@@ -4,7 +4,7 @@ use super::camera::CameraEstimate;
 use super::error::{RunError, catch_panic};
 use super::observer::RunContext;
 use super::{PoseSource, RunOptions, RunOutcome, Stage, shortfall};
-use crate::config::{HoldOut, MappingConfig, Parameters, TrackingMethod};
+use crate::config::{HoldOut, Parameters, TrackingMethod};
 use crate::keyframes::{PictureError, PosedKeyframe};
 use crate::reconstruction::{FrameEstimate, Reconstruction};
 use crate::session::{MappedFrames, Session, SessionError};
@@ -86,6 +86,11 @@ pub(super) const KEYFRAMES: ItemKind = ItemKind {
 };
 
 impl<'a> Input<'a> {
+    /// True if every n-th of all frames is held out, in place of every n-th item.
+    fn counts_frames(&self, options: &RunOptions) -> bool {
+        self.estimate.is_some() && options.config.tracking.method != TrackingMethod::Adam
+    }
+
     /// All frames of a sequence, to be tracked against the map.
     pub(super) fn frames(sequence: &'a Sequence) -> Self {
         let items = sequence.stream().map(|frame| Ok(Item::Frame(frame?)));
@@ -144,7 +149,7 @@ pub(super) fn run<'a>(
             let pictures = input.undistorted.as_ref().unwrap_or(sequence);
             let source = ((input.camera, input.frame_rate), pictures);
             let session = new_session(input.kind, options, context, source);
-            let hold_out = hold_out(&options.config.mapping, &input, sequence);
+            let hold_out = hold_out(options, &input, sequence);
             (session, hold_out, 0, Vec::new())
         }
     };
@@ -198,7 +203,7 @@ pub(super) fn run<'a>(
     if complete {
         shortfalls.extend(shortfall::of_holding_out(
             session.mapping_settings(),
-            (number, if input.estimate.is_some() { FRAMES.name } else { input.kind.name }),
+            (number, if input.counts_frames(options) { FRAMES.name } else { input.kind.name }),
         ));
         shortfalls.extend(shortfall::of_readout(session.is_readout_missing()));
         shortfalls.extend(few_poses.flatten());
@@ -259,14 +264,13 @@ pub(super) fn new_session(
     session
 }
 
-/// Which items are held out: of a path from pictures those whose frames are, which the front end has avoided
-/// as keyframes; else each counts by itself.
-fn hold_out(mapping: &MappingConfig, input: &Input<'_>, sequence: &Sequence) -> HoldOut {
-    let mut hold_out = HoldOut::new(mapping);
-    if input.estimate.is_some() {
-        sequence.entries.iter().for_each(|entry| _ = hold_out.holds_out(entry.index));
+/// Held-out items: by the count of frames where the front end avoids these as keyframes, else by their own.
+fn hold_out(options: &RunOptions, input: &Input<'_>, sequence: &Sequence) -> HoldOut {
+    let mapping = &options.config.mapping;
+    match input.counts_frames(options) {
+        true => HoldOut::of_frames(mapping, sequence.entries.iter().map(|entry| entry.index)),
+        false => HoldOut::new(mapping),
     }
-    hold_out
 }
 
 struct Driver<'a, 'b> {
@@ -323,7 +327,7 @@ impl Driver<'_, '_> {
                 )
             }
             Item::Keyframe(keyframe) => {
-                if self.hold_out.holds_out(keyframe.index) {
+                if self.hold_out.decide(keyframe.index) {
                     self.held_out.push_back(*keyframe);
                     return Ok(());
                 }

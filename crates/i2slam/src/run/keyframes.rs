@@ -178,7 +178,7 @@ fn find_path(
             }
         };
         let intrinsics = intrinsics(&large, estimate_distortion);
-        let hold_out = HoldOut::new(&options.config.mapping);
+        let hold_out = avoided_keyframes(options, Some(sequence));
         TrackedPictures::track((intrinsics, hold_out), count, load, &progress, on_tracked)
     };
     let load: BoxedLoader = Box::new(move |place| picture(&large, place));
@@ -188,6 +188,19 @@ fn find_path(
             Err(RunError::Cancelled { before: "the path of the camera was found" })
         }
         Err(error) => Err(RunError::NoPath(error)),
+    }
+}
+
+/// Frames that the front end avoids as keyframes: those held out, of a sequence or a stream; none where
+/// keyframes alone get poses, so that every n-th of these is held out.
+pub(super) fn avoided_keyframes(options: &RunOptions, sequence: Option<&Sequence>) -> HoldOut {
+    let mapping = &options.config.mapping;
+    match (options.config.tracking.method, sequence) {
+        (TrackingMethod::Adam, _) => HoldOut::default(),
+        (TrackingMethod::SecondOrder, None) => HoldOut::new(mapping),
+        (TrackingMethod::SecondOrder, Some(sequence)) => {
+            HoldOut::of_frames(mapping, sequence.entries.iter().map(|entry| entry.index))
+        }
     }
 }
 

@@ -4,7 +4,7 @@ use super::RunOptions;
 use super::driver::{KEYFRAMES, new_session};
 use super::error::RunError;
 use super::forecast::Forecaster;
-use super::keyframes::{FoundPath, ODOMETRY_SIDE, picture};
+use super::keyframes::{FoundPath, ODOMETRY_SIDE, avoided_keyframes, picture};
 use super::observer::{Observer, RunContext, Stage};
 use crate::config::{MapKind, TrackingMethod};
 use crate::keyframes::{
@@ -46,6 +46,7 @@ pub(super) fn find_path(
     let large = sequence.at_least(ODOMETRY_SIDE);
     let forecaster = Forecaster::of_online(&options.config, sequence);
     let mut frames = OnlineFrames::start((sequence, &large), options, context);
+    frames.session.set_hold_out(avoided_keyframes(options, Some(sequence)));
     let progress = forecasting_progress(context, forecaster, Arc::clone(&frames.mapped));
     let is_one_size = large.camera == sequence.camera;
     let given = GivenPictures::give(sequence.len(), &progress, |place| {

@@ -5,7 +5,7 @@ use super::RunOptions;
 use super::camera::is_focal_length_changed;
 use super::driver::{KEYFRAMES, new_session};
 use super::observer::{Observer, RunContext};
-use crate::config::{MapKind, TrackingMethod};
+use crate::config::{HoldOut, MapKind, TrackingMethod};
 use crate::session::OnlineMapping;
 use i2slam_dataset::{Frame, Sequence};
 use i2slam_geometry::Camera;
@@ -100,5 +100,8 @@ fn mapping(
     let session = new_session(&KEYFRAMES, options, context, source);
     let observer: Arc<dyn Observer> = Arc::clone(&context.observer);
     let on_mapped = Box::new(move |_: &_, current: &dyn Fn() -> _| observer.map(current));
-    OnlineMapping::new(session, Arc::clone(tracking), on_mapped)
+    let mut mapping = OnlineMapping::new(session, Arc::clone(tracking), on_mapped);
+    // The front end avoids frames that are held out, which the map of the result decides.
+    mapping.set_hold_out(HoldOut::default());
+    mapping
 }

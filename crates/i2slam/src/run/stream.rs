@@ -2,12 +2,11 @@
 //! when the stream has ended.
 
 use super::camera::is_focal_length_changed;
-use super::keyframes::{ODOMETRY_SIDE, intrinsics, stamped_pose};
+use super::keyframes::{ODOMETRY_SIDE, avoided_keyframes, intrinsics, stamped_pose};
 use super::observer::{Observer, RunContext, Stage};
 use super::online::{self, OnlineFrames};
 use super::preview::MapPreview;
 use super::{PoseSource, RunError, RunOptions, has_small_pictures};
-use crate::config::HoldOut;
 use crate::keyframes::{self, GivenPictures, TrackedPictures};
 use i2slam_dataset::{Frame, LiveSequence, Sequence};
 use i2slam_geometry::StampedPose;
@@ -73,7 +72,7 @@ impl TrackedStream {
                 TrackedFrames::Mapped(Box::new(frames))
             }
             false => {
-                let hold_out = HoldOut::new(&options.config.mapping);
+                let hold_out = avoided_keyframes(options, None);
                 TrackedFrames::Unmapped(Box::new(TrackedPictures::new(camera, hold_out)))
             }
         };

@@ -43,3 +43,26 @@ fn a_film_whose_path_is_found_leaves_the_given_one() {
     let along = (first.inverse() * last).translation;
     assert!(along.y.abs() < 0.02 * along.x && along.z.abs() < 0.02 * along.x, "{along:?}");
 }
+
+/// Of doubled pictures that are due as keyframes, the copies of those held out are none either.
+#[test]
+fn a_picture_that_repeats_one_held_out_is_no_keyframe() {
+    let camera = Camera { width: 96, height: 72, fx: 90.0, fy: 90.0, cx: 48.0, cy: 36.0 };
+    let mut front_end = FrontEnd::new(Intrinsics::Known(camera));
+    let wave = |i: f32, j: f32| (0.7 * i).sin() * (0.6 * j).cos() + (0.23 * i + 0.31 * j).sin();
+    let picture = |number: usize| {
+        let moved = 2.0 * number as f32;
+        Image::from_fn(96, 72, 1, |_, i, j| 0.5 + 0.15 * wave(i as f32 + moved, j as f32))
+    };
+    for number in 0..40 {
+        let (picture, is_held_out) = (picture(number / 2), number % 4 == 2);
+        let pushed = match is_held_out {
+            true => front_end.push_held_out(&picture, number as f64, None),
+            false => front_end.push(&picture, number as f64, None),
+        };
+        pushed.expect("a picture");
+    }
+    let keyframes = &front_end.map.state.tracks.keyframes;
+    assert!(keyframes.len() > 3, "{keyframes:?}");
+    assert!(keyframes.iter().all(|frame| frame % 4 < 2), "{keyframes:?}");
+}

@@ -112,8 +112,8 @@ pub(crate) struct Tracker {
 }
 
 impl Tracker {
-    /// Tracks all points into the next picture. One that is held out of maps becomes a keyframe only where
-    /// none of the pictures after it could be one in time.
+    /// Tracks all points into the next picture. One that is held out of maps becomes a keyframe only as the
+    /// first, after a cut, or where one has been due for [`MAX_KEYFRAME_DELAY`] pictures.
     pub(crate) fn track(&mut self, picture: &Image<f32>, is_held_out: bool) -> TrackedFrame {
         let frame = self.frames;
         let pyramid = Arc::new(Pyramid::new(picture));
@@ -236,7 +236,7 @@ impl Tracker {
         self.shutter.add(correlations);
     }
 
-    /// Whether enough has changed, and the picture is sharp enough to start points in.
+    /// Whether enough has changed, and the picture is sharp enough to start points in and not held out.
     fn keyframe_is_due(&mut self, image: &Image<f32>, is_held_out: bool) -> bool {
         let is_measured = |p: &&TrackedPoint| p.hidden_frames == 0;
         let moved = |p: &TrackedPoint| {

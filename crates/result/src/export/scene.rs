@@ -197,8 +197,8 @@ impl Scene {
         })
     }
 
-    /// [`splats`](Self::splats) for PlayCanvas and SuperSplat, which widen Gaussians less than other viewers: as
-    /// much wider as these draw them in the nearest frame.
+    /// [`splats`](Self::splats) for PlayCanvas and SuperSplat, which widen Gaussians less than other viewers do:
+    /// they are wider by the difference in the nearest frame.
     ///
     /// # Errors
     /// As [`splats`](Self::splats).

@@ -3,13 +3,14 @@
 //! Viewers add a variance to every Gaussian that they draw, so that none falls between two pixels. Maps are
 //! made with 0.3 px², as Kerbl et al. 2023 draw them; PlayCanvas and SuperSplat add 0.075 px², so that
 //! Gaussians as small as a pixel leave gaps. A file for these has the difference in the Gaussians, in pixels of
-//! the nearest frame that shows them:
+//! the nearest frame in whose field of view they lie (hidden or not):
 //!
 //! ```text
 //! σ² + (0.3 - 0.075) (z / f)²    along each axis,
 //! ```
 //!
-//! which is drawn there as other viewers draw the map.
+//! which is drawn as other viewers draw the map there, in a picture of the map's size and near its axis. In a
+//! larger picture it is softer than these.
 
 use super::splat::Splat;
 use i2slam::geometry::{Camera, Pose, Vec3};

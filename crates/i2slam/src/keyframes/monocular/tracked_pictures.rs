@@ -104,10 +104,12 @@ impl TrackedPictures {
     fn track_next(&mut self, picture: &Frame) -> Result<FrameUpdate, PictureError> {
         let depth = depth_picture(picture);
         let (colour, timestamp) = (&picture.colour, picture.timestamp);
-        Ok(match self.hold_out.holds_out(picture.index) {
+        let update = match self.hold_out.is_held_out(picture.index) {
             true => self.front_end.push_held_out(colour, timestamp, depth.as_ref())?,
             false => self.front_end.push(colour, timestamp, depth.as_ref())?,
-        })
+        };
+        self.hold_out.decide(picture.index);
+        Ok(update)
     }
 
     /// Finds the path of all pictures; `load` reads those of keyframes again, in order.

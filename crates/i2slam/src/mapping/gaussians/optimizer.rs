@@ -17,8 +17,8 @@ const IMAGE_WEIGHT: f32 = 0.5;
 const SSIM_SHARE: f32 = 0.2;
 /// Learning rate of the coefficients of view colours, as a share of that of colours.
 const VIEW_COLOUR_RATE: f32 = 0.5;
-/// Share of the differences between the channels of view colours that a step takes away. Gloss adds light of
-/// nearly one colour; what few views tell of each channel alone would be coloured dots beside the path.
+/// Share of the differences between the channels of view colours that a step takes away: few views tell them,
+/// and what is wrong in them are coloured dots beside the path. It favours gloss of the colour of its surface.
 const CHANNEL_DECAY: f32 = 0.1;
 /// Learning rate of opacity logits (SplaTAM).
 const OPACITY_RATE: f32 = 0.05;

@@ -149,7 +149,7 @@ impl OnlineMapping {
         picture: Frame,
     ) -> BTreeMap<usize, Pose<f64>> {
         // Every n-th of all frames is held out, not of those that are mapped.
-        self.holds_out(picture.index);
+        self.hold_out.decide(picture.index);
         let is_keyframe = update.is_keyframe;
         self.waiting.push_back(WaitingFrame { number: update.frame, picture, is_keyframe });
         if self.gauge.is_none() && update.pose.is_some() {
@@ -215,9 +215,14 @@ impl OnlineMapping {
         out
     }
 
-    /// True if the frame with this index is held out of the map.
-    pub(super) fn holds_out(&mut self, index: usize) -> bool {
-        self.hold_out.holds_out(index)
+    /// True if the frame with this index is held out of the map, or would be as the next one.
+    pub(super) fn is_held_out(&self, index: usize) -> bool {
+        self.hold_out.is_held_out(index)
+    }
+
+    /// Replaces what is held out, before the first frame.
+    pub(crate) fn set_hold_out(&mut self, hold_out: HoldOut) {
+        self.hold_out = hold_out;
     }
 
     /// Sends a frame to the map, if it has a pose, and something to map.
@@ -230,7 +235,7 @@ impl OnlineMapping {
             return;
         }
         self.steps += if is_keyframe { self.mapping.iterations } else { 0 };
-        if self.holds_out(index) {
+        if self.is_held_out(index) {
             return;
         }
         let readout = path.rolling_shutter_readout;

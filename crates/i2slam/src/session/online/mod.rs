@@ -10,7 +10,7 @@ pub(crate) use mapping::{MappedFrames, OnlineMapping};
 pub use queue::MappingPanicked;
 
 use super::Session;
-use crate::config::Config;
+use crate::config::{Config, HoldOut};
 use crate::keyframes::{OdometryProgress, OdometryReconstruction};
 use crate::reconstruction::{FrameEstimate, Reconstruction};
 use i2slam_dataset::Frame;
@@ -119,6 +119,11 @@ impl OnlineSession {
         self.mapping.session().set_valid_mask(valid_mask);
     }
 
+    /// Replaces what is held out, before the first frame.
+    pub(crate) fn set_hold_out(&mut self, hold_out: HoldOut) {
+        self.mapping.set_hold_out(hold_out);
+    }
+
     /// Sets the frame rate [1/s] before the second frame, with which the first is sent to the map.
     pub(crate) fn set_frame_rate(&mut self, frame_rate: f64) {
         self.mapping.session().set_frame_rate(frame_rate);
@@ -162,7 +167,7 @@ impl OnlineSession {
             .depth
             .as_ref()
             .map(|depth| DepthPicture { depth: &depth.image, timestamp: depth.timestamp });
-        let update = match self.mapping.holds_out(index) {
+        let update = match self.mapping.is_held_out(index) {
             true => self.front_end.push_held_out(&tracked.colour, timestamp, depth.as_ref())?,
             false => self.front_end.push(&tracked.colour, timestamp, depth.as_ref())?,
         };
