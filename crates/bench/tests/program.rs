@@ -138,7 +138,7 @@ fn a_job_with_a_degraded_result_has_failed() {
     // All depth beyond the room: no frame has any.
     let (_folder, suite, out) = prepared("bench-degraded", &suite("depth_scale = 1e-300"));
     let ran = bench(&suite, &out, &["--configurations", "on"]).exits_with(1);
-    let reason = "0 of 4 frames were tracked: frame 0: it has no depth";
+    let reason = "0 of 4 frames were tracked: frame 0, rgb/000000.png: it has no depth";
     ran.stderr_contains(&format!("room, on, seed 3: failed: {reason}"));
     assert!(read(&out.join("results.md")).contains(reason));
     assert!(
