@@ -236,7 +236,7 @@ impl Tracker {
         self.shutter.add(correlations);
     }
 
-    /// Whether enough has changed, and the picture is sharp enough to start points in and not held out.
+    /// True if enough has changed, and the picture is sharp enough to start points in and not held out.
     fn keyframe_is_due(&mut self, image: &Image<f32>, is_held_out: bool) -> bool {
         let is_measured = |p: &&TrackedPoint| p.hidden_frames == 0;
         let moved = |p: &TrackedPoint| {
