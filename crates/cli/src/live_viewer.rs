@@ -40,7 +40,7 @@ pub(crate) struct SequenceFrames {
 }
 
 impl SequenceFrames {
-    /// Those of a sequence in the folder `dataset`.
+    /// Frames of a sequence in the folder `dataset`.
     pub(crate) fn of(sequence: &Sequence, dataset: &Path) -> Self {
         let numbers = sequence.entries.iter().map(|entry| (entry.timestamp, entry.index)).collect();
         Self { files: FrameFiles::of(sequence, dataset), numbers }
@@ -55,7 +55,7 @@ impl SequenceFrames {
 /// State that pages show.
 struct Shown {
     title: String,
-    frames: SequenceFrames,
+    frames: Arc<SequenceFrames>,
     status: String,
     /// A copy of the run; without one there is nothing to show yet.
     run: Option<Arc<Reconstruction>>,
@@ -104,7 +104,7 @@ impl LiveViewer {
     ) {
         let mut shown = self.shown();
         title.clone_into(&mut shown.title);
-        shown.frames = frames;
+        shown.frames = Arc::new(frames);
         if shown.run.is_none() {
             shown.show(without_frames(config, camera));
         }
@@ -170,7 +170,7 @@ impl Shown {
     fn new() -> Self {
         Self {
             title: String::new(),
-            frames: SequenceFrames::default(),
+            frames: Arc::default(),
             status: "Reading the sequence".to_owned(),
             run: None,
             poses: Vec::new(),
@@ -308,7 +308,7 @@ fn update(shown: &Mutex<Shown>, after: u64) -> String {
         shown.asked = Some(Instant::now());
         let run = shown.run.clone().filter(|_| shown.version != after);
         let run = run.map(|run| (run, shown.poses.clone()));
-        let (title, frames) = (shown.title.clone(), shown.frames.clone());
+        let (title, frames) = (shown.title.clone(), Arc::clone(&shown.frames));
         (title, frames, shown.status.clone(), run, shown.version, shown.ended)
     };
     // Beyond the last mapped frame there is little to see.

@@ -215,7 +215,7 @@ fn frames_that_break_off_are_left_out() {
     ran.stderr_contains("frame 12: left out").stderr_contains("cannot be decoded");
 }
 
-/// One is cut off, one is black.
+/// One picture is cut off, one is black.
 #[test]
 fn warnings_call_photographs_by_their_files() {
     let scratch = TemporaryFolder::new("photographs");

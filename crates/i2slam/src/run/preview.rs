@@ -101,7 +101,7 @@ fn mapping(
     let observer: Arc<dyn Observer> = Arc::clone(&context.observer);
     let on_mapped = Box::new(move |_: &_, current: &dyn Fn() -> _| observer.map(current));
     let mut mapping = OnlineMapping::new(session, Arc::clone(tracking), on_mapped);
-    // The front end avoids frames that are held out, which the map of the result decides.
+    // Keyframes are frames that are not held out, as far as the front end could avoid them.
     mapping.set_hold_out(HoldOut::default());
     mapping
 }
