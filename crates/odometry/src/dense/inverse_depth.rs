@@ -1,6 +1,6 @@
 //! Inverse depth of one keyframe: a coarse plane sweep with semi-global aggregation, refined twice.
 
-use super::plane_sweep::{CostVolume, PlaneSweep};
+use super::plane_sweep::{CostVolume, MatchingWindow, PlaneSweep};
 use super::semi_global::aggregate_costs;
 use crate::track::pyramid::Pyramid;
 use i2slam_compute::{CancellationToken, median};
@@ -8,9 +8,18 @@ use i2slam_geometry::{Camera, Image, Pose, Vec3};
 use rayon::prelude::*;
 
 /// Half the side of a window, at full size and at half size [px].
-pub(super) const HALF_WINDOWS: [usize; 2] = [3, 2];
-/// Largest motion of a neighbour's half-size picture from one plane of the sweep to the next [px].
-const PLANE_STEP: f64 = 0.7;
+const HALF_WINDOWS: [usize; 2] = [2, 1];
+/// Pixels whose noise a filtered cost averages: a window and the squares of the filter.
+const COST_SUPPORT: f32 = 49.0;
+/// How far across a depth edge filtered costs of the other surface reach [px].
+pub(super) const EDGE_REACH: usize = 3;
+/// Variance of the least noise of pictures in [0, 1]: windows with less contrast match nothing.
+const WINDOW_NOISE_VARIANCE: f32 = 1e-5;
+/// Pixels of a half-size picture from which on the first sweep is in half size: thin things are lost
+/// in smaller ones.
+const MIN_COARSE_PIXELS: usize = 160 * 120;
+/// Largest motion of a neighbour's picture from one plane of the first sweep to the next [px].
+const PLANE_STEP: f64 = 1.0;
 /// Smallest and largest number of planes.
 const PLANE_COUNT_RANGE: (usize, usize) = (24, 128);
 /// Labels to either side of each refinement, and their distance in steps of the sweep.
@@ -61,12 +70,14 @@ pub(super) fn estimate_inverse_depth(
     let goes_on = || (!cancellation.is_cancelled()).then_some(());
     goes_on()?;
     let fine = keyframe.finest();
-    let level = usize::from(keyframe.levels.len() > 1);
+    let level = usize::from(
+        keyframe.levels.get(1).is_some_and(|half| half.data.len() >= MIN_COARSE_PIXELS),
+    );
     let coarse = &keyframe.levels[level];
     let coarse_camera = at_level(camera, coarse, level);
     let plane_count = plane_count(&coarse_camera, others, [least, most]);
     let step = ((most - least) / (plane_count - 1) as f64) as f32;
-    let sweep = plane_sweep_at(&coarse_camera, coarse, others, level);
+    let sweep = plane_sweep_at(&coarse_camera, keyframe, others, level, window_at(level));
     let offsets: Vec<f32> = (0..plane_count).map(|k| step * k as f32).collect();
     let volume = sweep.costs(&vec![least as f32; coarse.data.len()], &offsets);
     goes_on()?;
@@ -76,7 +87,7 @@ pub(super) fn estimate_inverse_depth(
         *rho = least as f32 + step * subpixel_minimum(smooth.costs_at(pixel)).0;
     }
     let mut found = upsample(&median_filter(&first), fine.width, fine.height);
-    let sweep = plane_sweep_at(camera, fine, others, 0);
+    let sweep = plane_sweep_at(camera, keyframe, others, 0, window_at(0));
     let mut variance = Image::new(fine.width, fine.height, 1);
     for (reach, share) in REFINEMENTS {
         let distance = share * step;
@@ -113,15 +124,21 @@ fn at_level(camera: &Camera<f64>, picture: &Image<f32>, level: usize) -> Camera<
     }
 }
 
+fn window_at(level: usize) -> MatchingWindow {
+    MatchingWindow { half: HALF_WINDOWS[level], noise_variance: WINDOW_NOISE_VARIANCE }
+}
+
+/// The sweep of a keyframe on a level of its pyramid, where it has the intrinsics of `camera`.
 pub(super) fn plane_sweep_at<'a>(
     camera: &Camera<f64>,
-    picture: &Image<f32>,
+    keyframe: &'a Pyramid,
     others: &[NeighbourView<'a>],
     level: usize,
+    window: MatchingWindow,
 ) -> PlaneSweep<'a> {
     let others: Vec<(&Image<f32>, Pose<f64>)> =
         others.iter().map(|(pyramid, pose)| (&pyramid.levels[level], *pose)).collect();
-    PlaneSweep::new(camera, picture, HALF_WINDOWS[level], &others)
+    PlaneSweep::new(camera, &keyframe.levels[level], window, &others)
 }
 
 /// Number of planes by [`PLANE_STEP`], within [`PLANE_COUNT_RANGE`].
@@ -166,18 +183,17 @@ fn subpixel_minimum(costs: &[f32]) -> (f32, usize) {
 
 /// Variance of the minimum [labels²]; infinite without one.
 ///
-/// For windows of `N` pixels that differ by noise σ the cost is `C + c x²/2` with `C = N σ²/(2
+/// For means over `N` pixels that differ by noise σ the cost is `C + c x²/2` with `C = N σ²/(2
 /// |I|²)` and `c = Σ(∂I)²/|I|²`, so that the variance of the minimum, `σ²/Σ(∂I)²`, is `2 C/(N c)`.
 fn minimum_variance(volume: &CostVolume, pixel: usize, label: usize) -> f32 {
     let costs = volume.costs_at(pixel);
     let label = label.clamp(2, costs.len() - 3);
     let here = costs[label];
     let curvature = (costs[label - 2] - 2.0 * here + costs[label + 2]) / 4.0;
-    let windows = (2 * HALF_WINDOWS[0] + 1).pow(2) as f32;
     if here > MAX_COST || curvature <= 1e-6 {
         return f32::INFINITY;
     }
-    2.0 * here.max(MIN_COST) / (windows * curvature)
+    2.0 * here.max(MIN_COST) / (COST_SUPPORT * curvature)
 }
 
 /// Median filter of 3 x 3 pixels.

@@ -9,6 +9,7 @@
 //! Measured depth is averaged with the readings of neighbouring keyframes in the same way. Readings
 //! that pictures contradict are left out, and plane sweep completes what the sensor does not see.
 
+mod cost_filter;
 mod depth_filter;
 mod inverse_depth;
 mod patch_match;
@@ -24,7 +25,7 @@ use depth_filter::{confirmed_readings, fuse_consistent, fuse_readings, inflate_v
 use i2slam_compute::{CancellationToken, median};
 use i2slam_geometry::{Camera, Image, Pose};
 use inverse_depth::{
-    HALF_WINDOWS, InverseDepthEstimate, NeighbourView, estimate_inverse_depth, plane_sweep_at,
+    EDGE_REACH, InverseDepthEstimate, NeighbourView, estimate_inverse_depth, plane_sweep_at,
 };
 use patch_match::PatchMatch;
 use picture_check::{add_evidence_of, agree, evidence_against};
@@ -288,7 +289,7 @@ impl DenseDepthEstimator {
                 Some(((picture, pose), confirmed))
             })
             .unzip();
-        let sweep = plane_sweep_at(&self.camera, own.finest(), &views, 0);
+        let sweep = plane_sweep_at(&self.camera, own, &views, 0, picture_check::WINDOW);
         evidence_against(&sweep, readings, swept, &confirmed)
     }
 
@@ -467,7 +468,7 @@ fn missing_share(estimate: &InverseDepthEstimate) -> f64 {
 /// Depth of a plane sweep: beside edges windows may have matched either surface.
 fn swept_depth(swept: &InverseDepthEstimate) -> DenseDepth {
     let mut out = depth_from_inverse(swept);
-    inflate_variance_at_edges(&mut out, HALF_WINDOWS[0]);
+    inflate_variance_at_edges(&mut out, EDGE_REACH);
     out
 }
 

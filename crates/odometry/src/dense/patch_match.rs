@@ -14,7 +14,7 @@
 //! the views.
 
 use super::inverse_depth::{InverseDepthEstimate, MAX_COST, MIN_COST, NeighbourView};
-use super::plane_sweep::{SweptView, UNSEEN, WINDOW_NOISE_VARIANCE};
+use super::plane_sweep::{SweptView, UNSEEN};
 use i2slam_compute::{CancellationToken, Random};
 use i2slam_geometry::{Camera, Image, Vec3};
 use pulp::{Arch, Simd, WithSimd};
@@ -25,6 +25,8 @@ const HALF_WINDOW: isize = 5;
 const SAMPLE_STEP: usize = 2;
 /// Samples of a window.
 const SAMPLES: usize = (2 * HALF_WINDOW as usize / SAMPLE_STEP + 1).pow(2);
+/// Variance of noise in a window: windows with less contrast match nothing.
+const WINDOW_NOISE_VARIANCE: f32 = 5e-5;
 /// Difference of brightness at which the weight of a sample falls to 0.6.
 const BRIGHTNESS_DEVIATION: f32 = 0.2;
 /// Rounds in which planes are taken over and disturbed, at all pixels.

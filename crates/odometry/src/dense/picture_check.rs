@@ -8,11 +8,13 @@
 //! nearer surface.
 
 use super::depth_filter::{largest_difference, other_reading, square_filter};
-use super::inverse_depth::{HALF_WINDOWS, InverseDepthEstimate, MIN_COST};
-use super::plane_sweep::{PlaneSweep, write_window_means};
+use super::inverse_depth::{InverseDepthEstimate, MIN_COST};
+use super::plane_sweep::{MatchingWindow, PlaneSweep, write_window_means};
 use i2slam_geometry::{Camera, Pose};
 use rayon::prelude::*;
 
+/// Windows whose costs are compared: large ones, as no filter averages their noise.
+pub(super) const WINDOW: MatchingWindow = MatchingWindow { half: 3, noise_variance: 5e-5 };
 /// Half the sides of the squares that evidence is averaged over [px]: the smallest with enough decides.
 const HALF_SQUARES: [usize; 3] = [8, 16, 32];
 /// Share of the pixels of a square that must tell something.
@@ -95,7 +97,7 @@ impl<'a> CostComparison<'a> {
             (sweep.neighbour_costs(read), sweep.neighbour_costs(&completed));
         let whole_windows = |seen: &Vec<bool>| {
             let seen: Vec<f32> = seen.iter().map(|is| f32::from(u8::from(*is))).collect();
-            square_filter(&seen, size, HALF_WINDOWS[0], f32::min)
+            square_filter(&seen, size, WINDOW.half, f32::min)
         };
         Self {
             swept,

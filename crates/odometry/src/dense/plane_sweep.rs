@@ -1,5 +1,6 @@
 //! Plane sweep: costs of inverse depths by zero-mean normalised correlation of windows.
 
+use super::cost_filter::CostFilter;
 use i2slam_geometry::{Camera, Image, Pose, Vec3};
 use pulp::Arch;
 use rayon::prelude::*;
@@ -15,9 +16,19 @@ pub(super) struct SweptView<'a> {
     pub(super) shift: Vec3<f32>,
 }
 
+/// Windows that are compared.
+#[derive(Clone, Copy)]
+pub(super) struct MatchingWindow {
+    /// Half the side [px].
+    pub(super) half: usize,
+    /// Variance of noise in a window: windows with less contrast match nothing.
+    pub(super) noise_variance: f32,
+}
+
 /// A keyframe and its neighbours on one pyramid level.
 pub(super) struct PlaneSweep<'a> {
-    windows: WindowStatistics,
+    windows: WindowStatistics<'a>,
+    filter: CostFilter<'a>,
     neighbours: Vec<SweptView<'a>>,
 }
 
@@ -38,17 +49,18 @@ impl<'a> PlaneSweep<'a> {
     /// `others`: brightness, and `other_from_keyframe`. All have the intrinsics of `camera`.
     pub(super) fn new(
         camera: &Camera<f64>,
-        keyframe: &Image<f32>,
-        half_window: usize,
+        keyframe: &'a Image<f32>,
+        window: MatchingWindow,
         others: &[(&'a Image<f32>, Pose<f64>)],
     ) -> Self {
         Self {
-            windows: WindowStatistics::new(keyframe.clone(), half_window),
+            windows: WindowStatistics::new(keyframe, window),
+            filter: CostFilter::new(keyframe),
             neighbours: others.iter().map(|(o, pose)| SweptView::new(camera, o, pose)).collect(),
         }
     }
 
-    /// Costs at `inverse_depth + offset` for each of the offsets; one inverse depth per pixel.
+    /// Filtered costs at `inverse_depth + offset` for each of the offsets; one inverse depth per pixel.
     pub(super) fn costs(&self, inverse_depth: &[f32], offsets: &[f32]) -> CostVolume {
         let (labels, arch) = (offsets.len(), Arch::new());
         let mut values = vec![0.0; labels * self.windows.image.data.len()];
@@ -86,7 +98,8 @@ impl<'a> PlaneSweep<'a> {
         costs
     }
 
-    /// Mean cost of the better half of the neighbours that see a pixel: others may be occluded.
+    /// Mean cost of the better half of the neighbours that see a pixel, as others may be occluded; then
+    /// filtered.
     fn mean_plane_costs(&self, arch: Arch, inverse_depth: &[f32], offset: f32) -> Vec<f32> {
         let mut scratch = Scratch::default();
         let mut cost = |neighbour: &SweptView<'_>| {
@@ -94,7 +107,10 @@ impl<'a> PlaneSweep<'a> {
         };
         let each: Vec<Vec<f32>> = self.neighbours.iter().map(&mut cost).collect();
         let mut mean = vec![0.0; inverse_depth.len()];
-        arch.dispatch(|| write_means_of_better_half(&each, &mut mean));
+        arch.dispatch(|| {
+            write_means_of_better_half(&each, &mut mean);
+            self.filter.apply(&mut mean);
+        });
         mean
     }
 }
@@ -217,29 +233,26 @@ impl<'a> SweptView<'a> {
     }
 }
 
-/// Variance of noise in a window of an 8-bit picture: windows with less contrast match nothing.
-pub(super) const WINDOW_NOISE_VARIANCE: f32 = 5e-5;
-
 /// A picture with mean and deviation of the window around every pixel.
-struct WindowStatistics {
-    image: Image<f32>,
+struct WindowStatistics<'a> {
+    image: &'a Image<f32>,
     means: Vec<f32>,
     /// `1 / √(variance + noise)`.
     sharpness: Vec<f32>,
-    half: usize,
+    window: MatchingWindow,
 }
 
-impl WindowStatistics {
-    /// Windows of `2 half + 1` pixels a side.
-    fn new(image: Image<f32>, half: usize) -> Self {
+impl<'a> WindowStatistics<'a> {
+    fn new(image: &'a Image<f32>, window: MatchingWindow) -> Self {
         let (size, mut rows) = ((image.width, image.height), Vec::new());
         let squares: Vec<f32> = image.data.iter().map(|v| v * v).collect();
         let (mut means, mut mean_squares) = (Vec::new(), Vec::new());
-        write_window_means(&image.data, size, half, &mut rows, &mut means);
-        write_window_means(&squares, size, half, &mut rows, &mut mean_squares);
-        let sharpness =
-            means.iter().zip(mean_squares).map(|(m, s)| inverse_deviation(*m, s)).collect();
-        Self { image, means, sharpness, half }
+        write_window_means(&image.data, size, window.half, &mut rows, &mut means);
+        write_window_means(&squares, size, window.half, &mut rows, &mut mean_squares);
+        let inverse_deviation =
+            |(mean, square): (&f32, &f32)| window.inverse_deviation(*mean, *square);
+        let sharpness = means.iter().zip(&mean_squares).map(inverse_deviation).collect();
+        Self { image, means, sharpness, window }
     }
 
     /// Writes costs `1 - correlation` with the windows of a warped picture, in [0, 1]; 1 for flat
@@ -247,33 +260,36 @@ impl WindowStatistics {
     #[inline(always)]
     fn write_costs(&self, scratch: &mut Scratch, costs: &mut [f32]) {
         let (size, count) = ((self.image.width, self.image.height), costs.len());
+        let window = self.window;
         let Scratch { warped, shown, products, rows, means: [means, squares, crosses], .. } =
             scratch;
         products.resize(count, 0.0);
-        write_window_means(warped, size, self.half, rows, means);
+        write_window_means(warped, size, self.window.half, rows, means);
         for i in 0..count {
             products[i] = warped[i] * warped[i];
         }
-        write_window_means(products, size, self.half, rows, squares);
+        write_window_means(products, size, self.window.half, rows, squares);
         for i in 0..count {
             products[i] = warped[i] * self.image.data[i];
         }
-        write_window_means(products, size, self.half, rows, crosses);
+        write_window_means(products, size, self.window.half, rows, crosses);
         let (means, squares, crosses) = (&means[..count], &squares[..count], &crosses[..count]);
         let (own, sharpness, shown) =
             (&self.means[..count], &self.sharpness[..count], &shown[..count]);
         for i in 0..count {
             let covariance = crosses[i] - own[i] * means[i];
-            let spread = sharpness[i] * inverse_deviation(means[i], squares[i]);
+            let spread = sharpness[i] * window.inverse_deviation(means[i], squares[i]);
             let cost = (1.0 - covariance * spread).clamp(0.0, 1.0);
             costs[i] = if shown[i] { cost } else { UNSEEN };
         }
     }
 }
 
-#[inline(always)]
-fn inverse_deviation(mean: f32, mean_square: f32) -> f32 {
-    ((mean_square - mean * mean).max(0.0) + WINDOW_NOISE_VARIANCE).sqrt().recip()
+impl MatchingWindow {
+    #[inline(always)]
+    fn inverse_deviation(self, mean: f32, mean_square: f32) -> f32 {
+        ((mean_square - mean * mean).max(0.0) + self.noise_variance).sqrt().recip()
+    }
 }
 
 /// Writes window means; the border value is repeated beyond the border.
@@ -329,7 +345,9 @@ mod tests {
         0.5 + 0.3 * (0.9 * x).sin() * (0.7 * y).cos()
     }
 
-    fn costs(windows: &WindowStatistics, other: &Image<f32>) -> Vec<f32> {
+    const WINDOW: MatchingWindow = MatchingWindow { half: 2, noise_variance: 5e-5 };
+
+    fn costs(windows: &WindowStatistics<'_>, other: &Image<f32>) -> Vec<f32> {
         let shown = vec![true; other.data.len()];
         let mut scratch = Scratch { warped: other.data.clone(), shown, ..Scratch::default() };
         let mut costs = vec![0.0; other.data.len()];
@@ -339,7 +357,8 @@ mod tests {
 
     #[test]
     fn gain_and_bias_change_nothing_and_flat_windows_say_nothing() {
-        let windows = WindowStatistics::new(picture(wave), 2);
+        let keyframe = picture(wave);
+        let windows = WindowStatistics::new(&keyframe, WINDOW);
         let brighter = picture(|x, y| 0.1 + 0.6 * wave(x, y));
         assert!(costs(&windows, &brighter).iter().all(|c| *c < 0.02));
         let shifted = picture(|x, y| wave(x + 2.0, y));
@@ -391,13 +410,13 @@ mod tests {
             }
         }
         let [a, b, aa, bb, ab] = sums;
-        let noise = f64::from(WINDOW_NOISE_VARIANCE);
+        let noise = f64::from(WINDOW.noise_variance);
         let spread = ((aa - a * a + noise) * (bb - b * b + noise)).sqrt();
         Some((1.0 - (ab - a * b) / spread).clamp(0.0, 1.0))
     }
 
     #[test]
-    fn costs_are_means_of_the_better_half_of_the_neighbours() {
+    fn costs_are_filtered_means_of_the_better_half_of_the_neighbours() {
         let keyframe = picture(wave);
         let others: Vec<Image<f32>> = (0..5)
             .map(|k| picture(|x, y| wave(x + 0.8 * k as f32, 1.05 * y) + 0.02 * (x * y).sin()))
@@ -408,19 +427,25 @@ mod tests {
         let views: Vec<(&Image<f32>, Pose<f64>)> = others.iter().zip(poses.clone()).collect();
         let base: Vec<f32> = (0..24 * 18).map(|i| 0.3 + 0.001 * (i % 24) as f32).collect();
         let offsets: Vec<f32> = (0..LABELS_PER_BATCH + 3).map(|k| 0.05 * k as f32).collect();
-        let volume = PlaneSweep::new(&CAMERA, &keyframe, 2, &views).costs(&base, &offsets);
+        let volume = PlaneSweep::new(&CAMERA, &keyframe, WINDOW, &views).costs(&base, &offsets);
         let mut unseen = 0;
-        for (pixel, label) in (0..24 * 18).flat_map(|p| [(p, 0), (p, 7), (p, offsets.len() - 1)]) {
+        for label in [0, 7, offsets.len() - 1] {
             let rho = |x: usize, y: usize| f64::from(base[y * 24 + x] + offsets[label]);
-            let cost = |view| plain_cost(&keyframe, view, rho, (pixel % 24, pixel / 24));
-            let mut each: Vec<f64> = others.iter().zip(&poses).filter_map(cost).collect();
-            unseen += 5 - each.len();
-            each.sort_by(f64::total_cmp);
-            each.truncate(each.len().div_ceil(2));
-            let count = each.len() as f64;
-            let due = if each.is_empty() { 1.0 } else { each.iter().sum::<f64>() / count };
-            let found = f64::from(volume.costs_at(pixel)[label]);
-            assert!((found - due).abs() < 1e-3, "pixel {pixel}, label {label}: {found} {due}");
+            let mut mean_cost = |pixel: usize| {
+                let cost = |view| plain_cost(&keyframe, view, rho, (pixel % 24, pixel / 24));
+                let mut each: Vec<f64> = others.iter().zip(&poses).filter_map(cost).collect();
+                unseen += 5 - each.len();
+                each.sort_by(f64::total_cmp);
+                each.truncate(each.len().div_ceil(2));
+                let sum: f64 = each.iter().sum();
+                if each.is_empty() { 1.0 } else { (sum / each.len() as f64) as f32 }
+            };
+            let mut due: Vec<f32> = (0..24 * 18).map(&mut mean_cost).collect();
+            CostFilter::new(&keyframe).apply(&mut due);
+            for (pixel, due) in due.iter().enumerate() {
+                let found = volume.costs_at(pixel)[label];
+                assert!((found - due).abs() < 1e-3, "pixel {pixel}, label {label}: {found} {due}");
+            }
         }
         assert!(unseen > 100);
     }
