@@ -1,9 +1,24 @@
 //! Pictures of a sequence as they were taken, for the frames of a result.
 
+use crate::console::print_status;
+use crate::failure::Failure;
 use i2slam::FrameEstimate;
 use i2slam::dataset::Sequence;
 use i2slam::geometry::Image;
+use i2slam_result::RunInput;
+use std::path::Path;
 use std::sync::Arc;
+
+/// The sequence that a result was made of, where it is still there; else a warning that says what is
+/// `missing` without it.
+pub(crate) fn sequence_of(result: &Path, missing: &str) -> Result<Option<Sequence>, Failure> {
+    let input = RunInput::load(result)?;
+    let sequence = input.map(|input| Sequence::open(&input.dataset, &input.options)).transpose();
+    Ok(sequence.unwrap_or_else(|error| {
+        print_status(&format!("warning: {missing}: {error}"));
+        None
+    }))
+}
 
 /// A loader of the picture of a frame; `None` where it cannot be read.
 pub(crate) fn taken_pictures(

@@ -3,13 +3,12 @@
 mod hole_filling;
 mod light_meter;
 mod pose_optimization;
+mod restoration;
 
 pub use light_meter::LightMeter;
 pub use pose_optimization::OptimisedPose;
 
-use crate::objective::{
-    BlurMethod, Exposure, FrameObjective, FrameVariables, Sampling, form_picture,
-};
+use crate::objective::{BlurMethod, Exposure, FrameObjective, FrameVariables, Sampling};
 use crate::reconstruction::{FrameEstimate, Map, Reconstruction};
 use i2slam_formation::{Formation, ResponseCurve};
 use i2slam_geometry::{Camera, Image, Pose};
@@ -135,12 +134,8 @@ impl Viewer<'_> {
     }
 
     fn sharp_from(&mut self, frame: &FrameEstimate, pose: Pose<f64>) -> Image<f32> {
-        let curve = self.curve(frame);
-        let tone = curve.as_ref();
-        let tone = tone.map(|curve| Formation { tone: frame.tone, curve, vignetting: None });
-        let mut picture = Image::default();
-        form_picture(tone.as_ref(), &self.render(pose).radiance, &mut picture);
-        picture
+        let radiance = self.hdr(pose);
+        self.toned(&radiance, frame)
     }
 
     /// Response curve of a frame; `None` with `tone` off.

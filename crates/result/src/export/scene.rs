@@ -61,6 +61,8 @@ pub struct Scene {
     level_from_world: Rotation<f64>,
     pub(crate) linear: bool,
     pub(crate) constant_exposure: bool,
+    /// True if Gaussians were left out.
+    pub(crate) is_cut: bool,
     /// Files of the pictures taken.
     pub(crate) files: FrameFiles,
     /// Names of pictures without ending, where these are not their numbers.
@@ -84,7 +86,9 @@ impl Scene {
             let what = if selection.keyframes { "keyframe" } else { "frame" };
             return Err(ExportError::refused(format!("the result has no {what} with a pose")));
         }
-        if selection.crop.is_some() || selection.min_opacity > 0.0 || selection.min_views > 0 {
+        let is_cut =
+            selection.crop.is_some() || selection.min_opacity > 0.0 || selection.min_views > 0;
+        if is_cut {
             let views = views_of(&reconstruction, &frames, selection.min_views);
             let Map::Gaussians(map) = &mut reconstruction.map else {
                 return Err(ExportError::refused(
@@ -120,6 +124,7 @@ impl Scene {
             level_from_world,
             linear,
             constant_exposure,
+            is_cut,
             files: FrameFiles::default(),
             picture_stems: None,
         })

@@ -5,6 +5,7 @@ use super::scene::Scene;
 use super::seed_points::{SeedPoints, View};
 use super::watch::Watch;
 use crate::pictures::{write_mask, write_picture, write_radiance};
+use i2slam::FrameEstimate;
 use i2slam::geometry::Image;
 use i2slam_storage::OutputFolder;
 
@@ -16,13 +17,17 @@ pub(crate) const MASKS: &str = "masks";
 /// Least opacity of a pixel that counts as seen.
 const SEEN: f32 = 0.5;
 
-/// Writes the pictures of all frames, all with the exposure, white balance and response that are
+/// A loader of the picture taken of a frame; `None` where there is none.
+pub type TakenPictures<'a> = dyn FnMut(&FrameEstimate) -> Option<Image<f32>> + 'a;
+
+/// Writes the pictures of all frames, renders with the detail of the pictures taken, all with the exposure, white balance and response that are
 /// typical of the run (or linear radiance), and masks: 255 where the map is opaque, 0 where nothing
 /// was seen. `mask_name` makes the name of a mask from that of its picture.
 pub(crate) fn write_views(
     scene: &Scene,
     folder: &OutputFolder,
     mask_name: impl Fn(&str) -> String,
+    taken: &mut TakenPictures<'_>,
     watch: &Watch<'_>,
 ) -> Result<SeedPoints, ExportError> {
     let reconstruction = &scene.reconstruction;
@@ -31,13 +36,19 @@ pub(crate) fn write_views(
     for (done, frame) in scene.frames.iter().enumerate() {
         watch.step("rendering", done, scene.frames.len())?;
         let pose = frame.middle();
-        let picture = viewer.sharp(&reconstruction.virtual_frame(frame.index, pose));
+        let shown = reconstruction.virtual_frame(frame.index, pose);
+        // A picture taken shows what was cut from the map.
+        let radiance = match (!scene.is_cut).then(|| taken(frame)).flatten() {
+            Some(taken) => viewer.restored_hdr(frame, &taken, &shown),
+            None => viewer.hdr(pose),
+        };
+        let picture = viewer.toned(&radiance, &shown);
         let (depth, opacity) = (viewer.depth(pose), viewer.opacity(pose));
         points.add(&View { pose, picture: &picture, depth: &depth, opacity: &opacity });
         let name = scene.picture_name(frame);
         let file = format!("{PICTURES}/{name}");
         match scene.linear {
-            true => folder.write(&file, |out| write_radiance(out, &viewer.hdr(pose)))?,
+            true => folder.write(&file, |out| write_radiance(out, &radiance))?,
             false => folder.write(&file, |out| write_picture(out, &picture))?,
         }
         let data = opacity.data.iter().map(|&o| f32::from(u8::from(o >= SEEN))).collect();

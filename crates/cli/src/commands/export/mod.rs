@@ -13,11 +13,13 @@ use crate::interrupt;
 use crate::messages::{note_displaced, note_edited_trajectory, note_saved_parts};
 use crate::progress::Progress;
 use crate::result_folder::refuse_non_results;
+use crate::taken_pictures::{sequence_of, taken_pictures};
 use arguments::{COLMAP, FolderFormat, Format, NERFSTUDIO};
+use i2slam::FrameEstimate;
 use i2slam_result::export::video::Video;
 use i2slam_result::export::{
-    Axes, ExportError, MARK, Scene, Watch, colmap, compressed_ply, csv, glb, mesh, nerfstudio, ply,
-    tum, video,
+    Axes, ExportError, MARK, Scene, TakenPictures, Watch, colmap, compressed_ply, csv, glb, mesh,
+    nerfstudio, ply, tum, video,
 };
 use i2slam_result::{FrameFiles, UnitOfLength, load_metrics};
 use i2slam_storage::{OutputFolder, write_file};
@@ -74,11 +76,11 @@ const MANY_TRIANGLES: usize = 1_000_000;
 fn write(arguments: &Export, scene: &Scene, watch: &Watch<'_>) -> Result<String, Failure> {
     let out = &arguments.out;
     match arguments.format {
-        Format::Colmap => {
-            write_folder(arguments, scene, COLMAP, |folder| colmap::write(scene, folder, watch))
-        }
-        Format::Nerfstudio => write_folder(arguments, scene, NERFSTUDIO, |folder| {
-            nerfstudio::write(scene, folder, watch)
+        Format::Colmap => write_folder(arguments, scene, COLMAP, |folder, taken| {
+            colmap::write(scene, folder, taken, watch)
+        }),
+        Format::Nerfstudio => write_folder(arguments, scene, NERFSTUDIO, |folder, taken| {
+            nerfstudio::write(scene, folder, taken, watch)
         }),
         Format::Ply => {
             let splats = scene.splats(Axes::YDown)?;
@@ -129,10 +131,14 @@ fn write_folder(
     arguments: &Export,
     scene: &Scene,
     format: FolderFormat,
-    content: impl FnOnce(&OutputFolder) -> Result<usize, ExportError>,
+    content: impl FnOnce(&OutputFolder, &mut TakenPictures<'_>) -> Result<usize, ExportError>,
 ) -> Result<String, Failure> {
+    let missing = "the pictures are the map's alone, without detail of those taken";
+    let sequence = sequence_of(&arguments.result, missing)?;
+    let mut load = sequence.as_ref().map(taken_pictures);
+    let mut taken = |frame: &FrameEstimate| load.as_mut().and_then(|load| load(frame));
     let mut folder = OutputFolder::replace(&arguments.out, place::claim(arguments, format))?;
-    let points = content(&folder)?;
+    let points = content(&folder, &mut taken)?;
     note_displaced(&folder.commit_or_save()?);
     Ok(format!("{} and {}", counted(scene.frames(), "picture"), counted(points, "point")))
 }

@@ -2,21 +2,14 @@
 
 use super::arguments::Export;
 use super::{mark, write_text};
-use crate::console::{counted, print_status};
+use crate::console::counted;
 use crate::failure::Failure;
-use crate::taken_pictures::taken_pictures;
-use i2slam::dataset::Sequence;
-use i2slam_result::RunInput;
+use crate::taken_pictures::{sequence_of, taken_pictures};
 use i2slam_result::export::{Scene, html};
 
 /// Writes the viewer page, with the pictures of the dataset where it is still there.
 pub(super) fn write(arguments: &Export, scene: &Scene) -> Result<String, Failure> {
-    let input = RunInput::load(&arguments.result)?;
-    let sequence = input.map(|input| Sequence::open(&input.dataset, &input.options)).transpose();
-    let sequence = sequence.unwrap_or_else(|error| {
-        print_status(&format!("warning: the page has no pictures as filmed: {error}"));
-        None
-    });
+    let sequence = sequence_of(&arguments.result, "the page has no pictures as filmed")?;
     let name = std::path::absolute(&arguments.result).unwrap_or_default();
     let name = name.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let title = sequence.as_ref().map_or(name, |sequence| sequence.name.clone());

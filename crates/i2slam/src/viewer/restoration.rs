@@ -1,0 +1,228 @@
+//! Sharp pictures with what the pictures taken show and the map does not.
+//!
+//! A render and the picture taken are two estimates of the sharp picture: the first is softer, the
+//! second noisy and blurred. What image formation leaves of the second is added to the first, in radiance `L`,
+//!
+//! ```text
+//! L = L_render + w (L_taken - L_formed),    w = 1 / (1 + s² + (b / B)²) · 1 / (1 + e² / E²)
+//! ```
+//!
+//! The first factor is the weight of the mean of two estimates whose deviations have the ratio `√(s² + (b /
+//! B)²)`: `s` is how much the tone of the shown picture amplifies the noise of the one taken, `b` the motion
+//! in the picture taken [px]. The second leaves out what passed through the picture: `e` is the rms of the
+//! remainder around a pixel, as picture values. Clipped values say nothing.
+
+use super::Viewer;
+use crate::objective::form_picture;
+use crate::reconstruction::FrameEstimate;
+use i2slam_formation::{Formation, ResponseCurve};
+use i2slam_geometry::Image;
+use std::ops::RangeInclusive;
+
+/// Motion with which a picture is as far from the truth as without, once more [px].
+const UNIT_MOTION: f64 = 2.0;
+/// Remainder at which its weight falls to a half: ten times what noise and the softness of maps leave.
+const UNIT_REMAINDER: f32 = 0.1;
+/// Half the side of the square in which the remainder is averaged [px].
+const HALF_SQUARE: usize = 2;
+/// Picture values outside of which a pixel is taken for clipped.
+const UNCLIPPED: RangeInclusive<f32> = 0.01..=0.98;
+/// Least slope of a response that is told from a level one.
+const MIN_SLOPE: f32 = 1e-3;
+
+impl Viewer<'_> {
+    /// Linear radiance at mid-exposure of a frame with what `taken`, its picture, shows beyond the map; noise
+    /// counts as in a picture with the tone of `shown`. The render alone if `taken` has another size.
+    pub fn restored_hdr(
+        &mut self,
+        frame: &FrameEstimate,
+        taken: &Image<f32>,
+        shown: &FrameEstimate,
+    ) -> Image<f32> {
+        let mut radiance = self.hdr(frame.middle());
+        if (taken.width, taken.height, taken.channels)
+            != (radiance.width, radiance.height, radiance.channels)
+        {
+            return radiance;
+        }
+        let formed = self.blurred(frame);
+        let shares = shares_of_remainder(taken, &formed);
+        let motion = (motion_in_picture(frame) / UNIT_MOTION).powi(2) as f32;
+        let (own, its) = (self.curve(frame), self.curve(shown));
+        let lens = &self.reconstruction.vignetting;
+        let vignetting = (!lens.is_none()).then(|| lens.at_pixels(&self.camera.cast()));
+        for channel in 0..radiance.channels {
+            let tones = own.as_ref().zip(its.as_ref()).map(|(own, its)| {
+                [(own, frame), (its, shown)].map(|(curve, frame)| ChannelTone {
+                    curve,
+                    channel,
+                    gain: frame.tone.gains()[channel],
+                })
+            });
+            let pictures = taken.plane(channel).iter().zip(formed.plane(channel)).zip(&shares);
+            let values = radiance.plane_mut(channel).iter_mut().zip(pictures).enumerate();
+            for (pixel, (value, ((&taken, &formed), share))) in values {
+                if [taken, formed].iter().any(|y| !UNCLIPPED.contains(y)) {
+                    continue;
+                }
+                let light = vignetting.as_ref().map_or(1.0, |all| all[pixel]);
+                let (remainder, amplification) = match &tones {
+                    Some([own, its]) => own.dimmed(light).remainder([taken, formed], its),
+                    None => (taken - formed, 1.0),
+                };
+                let weight = share / (1.0 + amplification.powi(2) + motion);
+                *value = (*value + weight * remainder).max(0.0);
+            }
+        }
+        radiance
+    }
+
+    /// `radiance` with the exposure, white balance and response of a frame, without vignetting.
+    pub fn toned(&self, radiance: &Image<f32>, frame: &FrameEstimate) -> Image<f32> {
+        let curve = self.curve(frame);
+        let tone = curve.as_ref();
+        let tone = tone.map(|curve| Formation { tone: frame.tone, curve, vignetting: None });
+        let mut picture = Image::default();
+        form_picture(tone.as_ref(), radiance, &mut picture);
+        picture
+    }
+}
+
+/// Exposure, white balance and response of one channel of a picture.
+struct ChannelTone<'a> {
+    curve: &'a ResponseCurve<f32>,
+    channel: usize,
+    gain: f32,
+}
+
+impl ChannelTone<'_> {
+    /// The tone where the lens passes a share of the light.
+    fn dimmed(&self, light: f32) -> Self {
+        Self { gain: self.gain * light, ..*self }
+    }
+
+    /// Difference of the radiances of two values of a picture, and how much more `shown` makes of it.
+    fn remainder(&self, [taken, formed]: [f32; 2], shown: &Self) -> (f32, f32) {
+        let [taken, formed] = [taken, formed].map(|y| self.curve.inverse(self.channel, y));
+        let radiance = formed / self.gain;
+        let slopes = [shown, self].map(|tone| {
+            tone.gain * tone.curve.slope(self.channel, tone.gain * radiance).max(MIN_SLOPE)
+        });
+        ((taken - formed) / self.gain, slopes[0] / slopes[1])
+    }
+}
+
+/// Motion of a frame's picture from first to last light, its rows read one after another included [px].
+fn motion_in_picture(frame: &FrameEstimate) -> f64 {
+    // Rows at the border are half a readout away from the middle of the exposure.
+    frame.blur_length * 1.0_f64.hypot(0.5 * frame.readout)
+}
+
+/// Share of the remainder that is taken for detail, for every pixel.
+fn shares_of_remainder(taken: &Image<f32>, formed: &Image<f32>) -> Vec<f32> {
+    let pixels = taken.width * taken.height;
+    let mut squares = vec![0.0; pixels];
+    for (i, (a, b)) in taken.data.iter().zip(&formed.data).enumerate() {
+        squares[i % pixels] += (a - b).powi(2) / taken.channels as f32;
+    }
+    let means = square_means(&squares, (taken.width, taken.height));
+    means.iter().map(|mean| 1.0 / (1.0 + mean / UNIT_REMAINDER.powi(2))).collect()
+}
+
+/// Means over squares of `2 HALF_SQUARE + 1` pixels a side, of their part within the picture.
+fn square_means(plane: &[f32], (width, height): (usize, usize)) -> Vec<f32> {
+    let line = |plane: &[f32], pixel: usize, (at, length): (usize, usize), stride: usize| {
+        let first = at.saturating_sub(HALF_SQUARE);
+        let count = (at + HALF_SQUARE + 1).min(length) - first;
+        let start = pixel - (at - first) * stride;
+        (0..count).map(|i| plane[start + i * stride]).sum::<f32>() / count as f32
+    };
+    let rows: Vec<f32> = (0..plane.len()).map(|p| line(plane, p, (p % width, width), 1)).collect();
+    (0..rows.len()).map(|p| line(&rows, p, (p / width, height), width)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::pose_optimization::tests::room;
+    use super::*;
+    use i2slam_check::noise;
+    use i2slam_formation::ShutterPoses;
+    use i2slam_geometry::{Pose, Tangent};
+
+    /// A pattern that the map does not have, as picture values.
+    const DETAIL: f32 = 0.01;
+
+    fn turning(angle: f64, exposure: f32) -> FrameEstimate {
+        let room = room();
+        let rotated =
+            |angle| Pose::identity().retract(Tangent::from_array([0.0, 0.0, 0.0, 0.0, angle, 0.0]));
+        let mut frame = FrameEstimate {
+            shutter: ShutterPoses { start: rotated(-0.5 * angle), end: rotated(0.5 * angle) },
+            blur_length: angle * room.camera.fx,
+            ..room.virtual_frame(0, Pose::identity())
+        };
+        frame.tone.log_exposure = exposure.ln();
+        frame
+    }
+
+    /// Mean share of the detail in the picture of `frame` that is in the restored picture with the tone of
+    /// `shown`, each as the other shows it.
+    fn share_of_detail(frame: &FrameEstimate, shown: &FrameEstimate) -> f64 {
+        let room = room();
+        let mut viewer = room.viewer();
+        let mut taken = viewer.blurred(frame);
+        let detail: Vec<f32> =
+            noise(5, taken.data.len()).iter().map(|v| DETAIL * v.signum() as f32).collect();
+        taken.data.iter_mut().zip(&detail).for_each(|(v, d)| *v += d);
+        let restored = viewer.restored_hdr(frame, &taken, shown);
+        let (restored, render) = (viewer.toned(&restored, frame), viewer.sharp(frame));
+        let differences = restored.data.iter().zip(&render.data).map(|(a, b)| a - b);
+        let products: f32 = differences.zip(&detail).map(|(a, d)| a * d).sum();
+        f64::from(products / detail.iter().map(|d| d * d).sum::<f32>())
+    }
+
+    #[test]
+    fn detail_of_a_still_picture_counts_half_and_less_with_motion_and_noise() {
+        let still = turning(0.0, 1.0);
+        let share = share_of_detail(&still, &still);
+        assert!((share - 0.5).abs() < 0.02, "{share}");
+        // 4 px are two units, and blur leaves the formed picture softer than the render.
+        let moved = share_of_detail(&turning(4.0 / 90.0, 1.0), &still);
+        assert!((0.1..0.25).contains(&moved), "{moved}");
+        // Twice the exposure multiplies noise by 2^(1/2.4) or so: a share of 1 / (1 + 1.8) or so.
+        let dark = share_of_detail(&turning(0.0, 0.5), &still);
+        assert!((0.28..0.45).contains(&dark), "{dark}");
+    }
+
+    #[test]
+    fn what_passed_through_the_picture_leaves_no_trace() {
+        let (room, frame) = (room(), turning(0.0, 1.0));
+        let mut viewer = room.viewer();
+        let mut taken = viewer.blurred(&frame);
+        let size = (taken.width, taken.height);
+        for (pixel, value) in taken.data.iter_mut().enumerate() {
+            let (column, row) = (pixel % size.0, pixel / size.0 % size.1);
+            if (30..60).contains(&column) && (20..50).contains(&row) {
+                *value = (*value + 0.4).min(0.95);
+            }
+        }
+        let restored = viewer.restored_hdr(&frame, &taken, &frame);
+        let (restored, render) = (viewer.toned(&restored, &frame), viewer.sharp(&frame));
+        let traces = restored.data.iter().zip(&render.data).map(|(a, b)| (a - b).abs());
+        let most = traces.clone().fold(0.0, f32::max);
+        let mean = traces.sum::<f32>() / (3.0 * 30.0 * 30.0);
+        assert!(most < 0.08 && mean < 0.02, "{most} {mean}");
+    }
+
+    #[test]
+    fn clipped_values_and_pictures_of_another_size_change_nothing() {
+        let (room, frame) = (room(), turning(0.0, 1.0));
+        let mut viewer = room.viewer();
+        let render = viewer.hdr(frame.middle());
+        let mut taken = viewer.blurred(&frame);
+        taken.data.iter_mut().for_each(|v| *v = 1.0);
+        assert_eq!(viewer.restored_hdr(&frame, &taken, &frame), render);
+        let small = taken.resized_by_area(48, 36);
+        assert_eq!(viewer.restored_hdr(&frame, &small, &frame), render);
+    }
+}
