@@ -66,8 +66,8 @@ pub enum Warning {
     },
     /// A large part of the picture that moves on its own.
     #[error(
-        "in frames {} to {} about {:.0} percent of the picture do not move with the rest, as a large moving object or a mirror: poses rest on what does, and may be off",
-        .frames[0], .frames[1], 100.0 * .share
+        "in {} about {:.0} percent of the picture do not move with the rest, as a large moving object or a mirror: poses rest on what does, and may be off",
+        subject(*.frames), 100.0 * .share
     )]
     MovingObject {
         /// First and last frame.
@@ -237,6 +237,9 @@ mod tests {
         assert_eq!(lost.frames(), Some([1200, 1212]));
         let blank = Warning::BlankFrames { frames: [4, 4] }.with_frame_numbers(number);
         assert!(blank.to_string().starts_with("frame 912 is black"), "{blank}");
+        let moving = Warning::MovingObject { frames: [4, 4], share: 0.3 };
+        let moving = moving.with_frame_numbers(number).to_string();
+        assert!(moving.starts_with("in frame 912 about 30 percent"), "{moving}");
         let count = Warning::FramesLost { lost: 5, frames: 200 };
         assert_eq!(count.with_frame_numbers(number), count);
     }

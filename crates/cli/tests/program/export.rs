@@ -78,6 +78,33 @@ fn points_of_a_colmap_model_project_where_its_pictures_show_them() {
     assert!(observations > 100, "{observations}");
 }
 
+/// Pictures of an export, in the order of frames.
+fn pictures(folder: &Path) -> Vec<Vec<u8>> {
+    let mut files: Vec<_> = fs::read_dir(folder.join("images"))
+        .expect("a folder")
+        .flatten()
+        .map(|f| f.path())
+        .collect();
+    files.sort();
+    files.into_iter().map(|file| fs::read(file).expect("a picture")).collect()
+}
+
+#[test]
+fn pictures_have_detail_of_those_taken_while_the_map_is_whole_and_these_are_there() {
+    let room = reconstructed("detail");
+    let whole = pictures(&export(&room, "colmap", "whole", &[]));
+    let cut = pictures(&export(&room, "colmap", "cut", &["--min-opacity", "0.000001"]));
+    fs::rename(&room.data, room.scratch.join("elsewhere")).expect("a folder");
+    let out = room.scratch.join("alone");
+    i2slam!("export", room.out, "--format", "colmap", "--out", out)
+        .exits_with(0)
+        .stderr_contains("the pictures are the map's alone");
+    let alone = pictures(&out);
+    assert_eq!(whole.len(), 4);
+    assert_eq!(cut, alone);
+    assert!(whole.iter().zip(&alone).all(|(whole, alone)| whole != alone));
+}
+
 #[test]
 fn every_format_holds_the_whole_result() {
     let room = reconstructed("formats");
