@@ -30,3 +30,20 @@ pub(crate) fn taken_pictures(
         Some(Arc::unwrap_or_clone(frame.colour))
     }
 }
+
+/// [`taken_pictures`] that are black where the camera saw nothing and the edge of the picture is repeated.
+pub(crate) fn covered_pictures(
+    sequence: &Sequence,
+) -> impl FnMut(&FrameEstimate) -> Option<Image<f32>> {
+    let mut load = taken_pictures(sequence);
+    move |frame| {
+        let mut picture = load(frame)?;
+        if let Some(valid) = &sequence.valid_mask {
+            for channel in 0..picture.channels {
+                let pixels = picture.plane_mut(channel).iter_mut().zip(&valid.data);
+                pixels.filter(|(_, valid)| !**valid).for_each(|(value, _)| *value = 0.0);
+            }
+        }
+        Some(picture)
+    }
+}

@@ -1,11 +1,11 @@
-//! Means of matching costs over the surface of a pixel: the guided filter (He, Sun, Tang 2013), by
+//! Means of matching costs within edges of the picture: the guided filter (He, Sun, Tang 2013), by
 //! which Hosni et al. 2013 filter cost volumes.
 //!
-//! In every square the costs `p` are taken for a line in the brightness `I` of the picture, `a I + b`
-//! with `a = cov(I, p) / (var(I) + ε)` and `b = p̄ - a Ī`; a pixel has the mean of the lines of all squares around
+//! In every square the costs `p` are fitted by a linear function of the brightness `I`, `a I + b` with
+//! `a = cov(I, p) / (var(I) + ε)` and `b = p̄ - a Ī`; a pixel has the mean of the functions of all squares around
 //! it. Squares with contrast above `√ε` keep the sides of an edge apart, others are averaged. Small
-//! matching windows leave noise in the costs, large ones fatten near surfaces; small ones filtered so
-//! do neither.
+//! matching windows leave noise in the costs, large ones fatten near surfaces; a filter after small
+//! windows averages the noise and keeps the edges.
 
 use super::plane_sweep::write_window_means;
 use i2slam_geometry::Image;
@@ -75,6 +75,7 @@ impl<'a> CostFilter<'a> {
 mod tests {
     use super::*;
     use i2slam_check::noise;
+    use std::ops::Range;
 
     const SIZE: (usize, usize) = (24, 18);
 
@@ -128,7 +129,7 @@ mod tests {
         }
     }
 
-    /// Noise becomes less, and costs change where the picture does.
+    /// Noise becomes less, beside an edge as elsewhere.
     #[test]
     fn noise_is_averaged_and_edges_stay() {
         let guide = picture(|x, _| if x < 12 { 0.2 } else { 0.8 });
@@ -137,11 +138,15 @@ mod tests {
         let costs = picture(|x, y| due(x) + 0.1 * noise[y * SIZE.0 + x].clamp(-1.0, 1.0) as f32);
         let mut found = costs.data.clone();
         CostFilter::new(&guide).apply(&mut found);
-        let deviation = |costs: &[f32]| {
-            let square = |(pixel, cost): (usize, &f32)| (cost - due(pixel % SIZE.0)).powi(2);
-            (costs.iter().enumerate().map(square).sum::<f32>() / costs.len() as f32).sqrt()
+        let deviation = |costs: &[f32], columns: Range<usize>| {
+            let all = costs.iter().enumerate().filter(|(p, _)| columns.contains(&(p % SIZE.0)));
+            let squares: Vec<f32> = all.map(|(p, cost)| (cost - due(p % SIZE.0)).powi(2)).collect();
+            (squares.iter().sum::<f32>() / squares.len() as f32).sqrt()
         };
-        let [before, after] = [&costs.data, &found].map(|costs| deviation(costs));
-        assert!(after < 0.35 * before, "{before} {after}");
+        for columns in [0..SIZE.0, 11..13] {
+            let [before, after] =
+                [&costs.data, &found].map(|costs| deviation(costs, columns.clone()));
+            assert!(after < 0.4 * before, "{columns:?}: {before} {after}");
+        }
     }
 }

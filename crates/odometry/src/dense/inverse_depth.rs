@@ -9,11 +9,12 @@ use rayon::prelude::*;
 
 /// Half the side of a window, at full size and at half size [px].
 const HALF_WINDOWS: [usize; 2] = [2, 1];
-/// Pixels whose noise a filtered cost averages: a window and the squares of the filter.
+/// Pixels whose noise a filtered cost averages: between the 25 of a window, beside edges of the picture, and
+/// the 80 of window and filter where it is plain; with it errors are 0.55 to 0.95 of the deviation in the median.
 const COST_SUPPORT: f32 = 49.0;
-/// How far across a depth edge filtered costs of the other surface reach [px].
+/// Distance from a depth edge [px] within which costs are often of the other surface.
 pub(super) const EDGE_REACH: usize = 3;
-/// Variance of the least noise of pictures in [0, 1]: windows with less contrast match nothing.
+/// Variance added to that of a window of a picture in [0, 1]: less contrast lowers its correlation.
 const WINDOW_NOISE_VARIANCE: f32 = 1e-5;
 /// Pixels of a half-size picture from which on the first sweep is in half size: thin things are lost
 /// in smaller ones.

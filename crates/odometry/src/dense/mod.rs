@@ -1,10 +1,10 @@
 //! Dense depth with variance for keyframes whose poses are known.
 //!
 //! A keyframe is matched with a few others by plane sweep: zero-mean normalised correlation of
-//! windows, independent of exposure and of a smooth response. Costs are aggregated semi-globally
-//! and refined twice around the result with windows that follow the surface, for photographs by planes
-//! that pixels take over from each other ([`patch_match`]). Depth that other
-//! keyframes contradict is dropped; variances are inflated at depth edges.
+//! windows, independent of exposure and of a smooth response. Costs are averaged within edges of the
+//! picture ([`cost_filter`]) and aggregated semi-globally; the result is refined twice with windows
+//! that follow the surface, that of photographs by planes that pixels take over from each other
+//! ([`patch_match`]). Depth that other keyframes contradict is dropped; variances are inflated at depth edges.
 //!
 //! Measured depth is averaged with the readings of neighbouring keyframes in the same way. Readings
 //! that pictures contradict are left out, and plane sweep completes what the sensor does not see.

@@ -28,7 +28,6 @@ pub(super) struct MatchingWindow {
 /// A keyframe and its neighbours on one pyramid level.
 pub(super) struct PlaneSweep<'a> {
     windows: WindowStatistics<'a>,
-    filter: CostFilter<'a>,
     neighbours: Vec<SweptView<'a>>,
 }
 
@@ -55,7 +54,6 @@ impl<'a> PlaneSweep<'a> {
     ) -> Self {
         Self {
             windows: WindowStatistics::new(keyframe, window),
-            filter: CostFilter::new(keyframe),
             neighbours: others.iter().map(|(o, pose)| SweptView::new(camera, o, pose)).collect(),
         }
     }
@@ -63,9 +61,11 @@ impl<'a> PlaneSweep<'a> {
     /// Filtered costs at `inverse_depth + offset` for each of the offsets; one inverse depth per pixel.
     pub(super) fn costs(&self, inverse_depth: &[f32], offsets: &[f32]) -> CostVolume {
         let (labels, arch) = (offsets.len(), Arch::new());
+        let filter = CostFilter::new(self.windows.image);
         let mut values = vec![0.0; labels * self.windows.image.data.len()];
         for (begin, some) in (0..).step_by(LABELS_PER_BATCH).zip(offsets.chunks(LABELS_PER_BATCH)) {
-            let plane = |offset: &f32| self.mean_plane_costs(arch, inverse_depth, *offset);
+            let plane =
+                |offset: &f32| self.mean_plane_costs(arch, &filter, (inverse_depth, *offset));
             let planes: Vec<Vec<f32>> = some.par_iter().map(plane).collect();
             values.par_chunks_exact_mut(labels).enumerate().for_each(|(pixel, costs)| {
                 let costs = costs[begin..].iter_mut().zip(&planes);
@@ -100,7 +100,12 @@ impl<'a> PlaneSweep<'a> {
 
     /// Mean cost of the better half of the neighbours that see a pixel, as others may be occluded; then
     /// filtered.
-    fn mean_plane_costs(&self, arch: Arch, inverse_depth: &[f32], offset: f32) -> Vec<f32> {
+    fn mean_plane_costs(
+        &self,
+        arch: Arch,
+        filter: &CostFilter<'_>,
+        (inverse_depth, offset): (&[f32], f32),
+    ) -> Vec<f32> {
         let mut scratch = Scratch::default();
         let mut cost = |neighbour: &SweptView<'_>| {
             self.plane_costs(arch, neighbour, (inverse_depth, offset), &mut scratch)
@@ -109,7 +114,7 @@ impl<'a> PlaneSweep<'a> {
         let mut mean = vec![0.0; inverse_depth.len()];
         arch.dispatch(|| {
             write_means_of_better_half(&each, &mut mean);
-            self.filter.apply(&mut mean);
+            filter.apply(&mut mean);
         });
         mean
     }

@@ -7,7 +7,7 @@ use super::axes::Axes;
 use super::error::ExportError;
 use super::scene::Scene;
 use super::seed_points::SeedPoints;
-use super::views::{MASKS, PICTURES, TakenPictures, write_views};
+use super::views::{LoadTaken, MASKS, PICTURES, write_views};
 use super::watch::Watch;
 use i2slam::geometry::{Camera, Pose};
 use i2slam_storage::OutputFolder;
@@ -28,7 +28,7 @@ const CAMERA: u32 = 1;
 pub fn write(
     scene: &Scene,
     folder: &OutputFolder,
-    taken: &mut TakenPictures<'_>,
+    taken: &mut LoadTaken<'_>,
     watch: &Watch<'_>,
 ) -> Result<usize, ExportError> {
     // COLMAP looks for masks under the name of the picture with another ending behind it.

@@ -34,7 +34,7 @@ pub use html::html;
 pub use level::Up;
 pub use scene::{CropBox, Scene, Selection};
 pub use tables::{CSV_COLUMNS, csv, tum};
-pub use views::TakenPictures;
+pub use views::LoadTaken;
 pub use watch::Watch;
 
 /// The mark in every file by which this program knows its own exports.

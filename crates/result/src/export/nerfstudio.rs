@@ -6,7 +6,7 @@ use super::axes::Axes;
 use super::error::ExportError;
 use super::scene::Scene;
 use super::seed_points::SeedPoint;
-use super::views::{MASKS, PICTURES, TakenPictures, write_views};
+use super::views::{LoadTaken, MASKS, PICTURES, write_views};
 use super::watch::Watch;
 use i2slam::geometry::{Camera, Pose, Rotation};
 use i2slam_storage::OutputFolder;
@@ -26,7 +26,7 @@ const POINTS: &str = "points.ply";
 pub fn write(
     scene: &Scene,
     folder: &OutputFolder,
-    taken: &mut TakenPictures<'_>,
+    taken: &mut LoadTaken<'_>,
     watch: &Watch<'_>,
 ) -> Result<usize, ExportError> {
     let mask_of = |name: &str| format!("{}.png", &name[..name.len() - 4]);

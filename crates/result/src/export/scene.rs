@@ -138,6 +138,12 @@ impl Scene {
         Self { files, picture_stems, ..self }
     }
 
+    /// True if pictures get the detail of those taken: these show what was cut from a map, and motion in them
+    /// is unknown where blur was not modelled.
+    pub fn has_detail_of_pictures(&self) -> bool {
+        !self.is_cut && self.reconstruction.config.formation.blur
+    }
+
     /// Frames that have a pose.
     pub fn frames(&self) -> usize {
         self.frames.len()

@@ -1,4 +1,4 @@
-//! Sharp pictures of a scene with masks, and surface points that they see.
+//! Sharp pictures of a scene, with the detail of those taken, with masks, and surface points that they see.
 
 use super::error::ExportError;
 use super::scene::Scene;
@@ -17,17 +17,17 @@ pub(crate) const MASKS: &str = "masks";
 /// Least opacity of a pixel that counts as seen.
 const SEEN: f32 = 0.5;
 
-/// A loader of the picture taken of a frame; `None` where there is none.
-pub type TakenPictures<'a> = dyn FnMut(&FrameEstimate) -> Option<Image<f32>> + 'a;
+/// A loader of the picture taken of a frame, black beyond the picture of the camera; `None` where there is none.
+pub type LoadTaken<'a> = dyn FnMut(&FrameEstimate) -> Option<Image<f32>> + 'a;
 
-/// Writes the pictures of all frames, renders with the detail of the pictures taken, all with the exposure, white balance and response that are
+/// Writes pictures of all frames, renders with the detail of the pictures taken, all with the exposure, white balance and response that are
 /// typical of the run (or linear radiance), and masks: 255 where the map is opaque, 0 where nothing
 /// was seen. `mask_name` makes the name of a mask from that of its picture.
 pub(crate) fn write_views(
     scene: &Scene,
     folder: &OutputFolder,
     mask_name: impl Fn(&str) -> String,
-    taken: &mut TakenPictures<'_>,
+    taken: &mut LoadTaken<'_>,
     watch: &Watch<'_>,
 ) -> Result<SeedPoints, ExportError> {
     let reconstruction = &scene.reconstruction;
@@ -37,8 +37,7 @@ pub(crate) fn write_views(
         watch.step("rendering", done, scene.frames.len())?;
         let pose = frame.middle();
         let shown = reconstruction.virtual_frame(frame.index, pose);
-        // A picture taken shows what was cut from the map.
-        let radiance = match (!scene.is_cut).then(|| taken(frame)).flatten() {
+        let radiance = match scene.has_detail_of_pictures().then(|| taken(frame)).flatten() {
             Some(taken) => viewer.restored_hdr(frame, &taken, &shown),
             None => viewer.hdr(pose),
         };

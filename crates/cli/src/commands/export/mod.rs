@@ -13,12 +13,12 @@ use crate::interrupt;
 use crate::messages::{note_displaced, note_edited_trajectory, note_saved_parts};
 use crate::progress::Progress;
 use crate::result_folder::refuse_non_results;
-use crate::taken_pictures::{sequence_of, taken_pictures};
+use crate::taken_pictures::{covered_pictures, sequence_of};
 use arguments::{COLMAP, FolderFormat, Format, NERFSTUDIO};
 use i2slam::FrameEstimate;
 use i2slam_result::export::video::Video;
 use i2slam_result::export::{
-    Axes, ExportError, MARK, Scene, TakenPictures, Watch, colmap, compressed_ply, csv, glb, mesh,
+    Axes, ExportError, LoadTaken, MARK, Scene, Watch, colmap, compressed_ply, csv, glb, mesh,
     nerfstudio, ply, tum, video,
 };
 use i2slam_result::{FrameFiles, UnitOfLength, load_metrics};
@@ -131,11 +131,14 @@ fn write_folder(
     arguments: &Export,
     scene: &Scene,
     format: FolderFormat,
-    content: impl FnOnce(&OutputFolder, &mut TakenPictures<'_>) -> Result<usize, ExportError>,
+    content: impl FnOnce(&OutputFolder, &mut LoadTaken<'_>) -> Result<usize, ExportError>,
 ) -> Result<String, Failure> {
     let missing = "the pictures are the map's alone, without detail of those taken";
-    let sequence = sequence_of(&arguments.result, missing)?;
-    let mut load = sequence.as_ref().map(taken_pictures);
+    let sequence = match scene.has_detail_of_pictures() {
+        true => sequence_of(&arguments.result, missing)?,
+        false => None,
+    };
+    let mut load = sequence.as_ref().map(covered_pictures);
     let mut taken = |frame: &FrameEstimate| load.as_mut().and_then(|load| load(frame));
     let mut folder = OutputFolder::replace(&arguments.out, place::claim(arguments, format))?;
     let points = content(&folder, &mut taken)?;
