@@ -25,7 +25,7 @@ const HALF_WINDOW: isize = 5;
 const SAMPLE_STEP: usize = 2;
 /// Samples of a window.
 const SAMPLES: usize = (2 * HALF_WINDOW as usize / SAMPLE_STEP + 1).pow(2);
-/// Variance of noise in a window: windows with less contrast match nothing.
+/// Variance added to that of a window: less contrast lowers its correlation.
 const WINDOW_NOISE_VARIANCE: f32 = 5e-5;
 /// Difference of brightness at which the weight of a sample falls to 0.6.
 const BRIGHTNESS_DEVIATION: f32 = 0.2;

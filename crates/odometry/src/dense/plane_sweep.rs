@@ -21,7 +21,7 @@ pub(super) struct SweptView<'a> {
 pub(super) struct MatchingWindow {
     /// Half the side [px].
     pub(super) half: usize,
-    /// Variance of noise in a window: windows with less contrast match nothing.
+    /// Variance added to that of a window: less contrast lowers its correlation.
     pub(super) noise_variance: f32,
 }
 

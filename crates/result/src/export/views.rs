@@ -17,12 +17,14 @@ pub(crate) const MASKS: &str = "masks";
 /// Least opacity of a pixel that counts as seen.
 const SEEN: f32 = 0.5;
 
-/// A loader of the picture taken of a frame, black beyond the picture of the camera; `None` where there is none.
+/// A loader of the picture taken of a frame, black beyond the picture of the camera; `None` where there
+/// is none.
 pub type LoadTaken<'a> = dyn FnMut(&FrameEstimate) -> Option<Image<f32>> + 'a;
 
-/// Writes pictures of all frames, renders with the detail of the pictures taken, all with the exposure, white balance and response that are
-/// typical of the run (or linear radiance), and masks: 255 where the map is opaque, 0 where nothing
-/// was seen. `mask_name` makes the name of a mask from that of its picture.
+/// Writes pictures of all frames, renders with the detail of the pictures taken, all with the exposure,
+/// white balance and response that are typical of the run (or linear radiance), and masks: 255 where
+/// the map is opaque, 0 where nothing was seen. `mask_name` makes the name of a mask from that of its
+/// picture.
 pub(crate) fn write_views(
     scene: &Scene,
     folder: &OutputFolder,
