@@ -1,23 +1,26 @@
 //! Pictures of a sequence as they were taken, for the frames of a result.
 
 use crate::console::print_status;
-use crate::failure::Failure;
 use i2slam::FrameEstimate;
 use i2slam::dataset::Sequence;
 use i2slam::geometry::Image;
 use i2slam_result::RunInput;
+use std::error::Error;
 use std::path::Path;
 use std::sync::Arc;
 
 /// The sequence that a result was made of, where it is still there; else a warning that says what is
 /// `missing` without it.
-pub(crate) fn sequence_of(result: &Path, missing: &str) -> Result<Option<Sequence>, Failure> {
-    let input = RunInput::load(result)?;
-    let sequence = input.map(|input| Sequence::open(&input.dataset, &input.options)).transpose();
-    Ok(sequence.unwrap_or_else(|error| {
+pub(crate) fn sequence_of(result: &Path, missing: &str) -> Option<Sequence> {
+    open_input(result).unwrap_or_else(|error| {
         print_status(&format!("warning: {missing}: {error}"));
         None
-    }))
+    })
+}
+
+fn open_input(result: &Path) -> Result<Option<Sequence>, Box<dyn Error>> {
+    let Some(input) = RunInput::load(result)? else { return Ok(None) };
+    Ok(Some(Sequence::open(&input.dataset, &input.options)?))
 }
 
 /// A loader of the picture of a frame; `None` where it cannot be read.

@@ -100,6 +100,10 @@ fn pictures_have_detail_of_those_taken_while_the_map_is_whole_and_these_are_ther
         .exits_with(0)
         .stderr_contains("the pictures are the map's alone");
     let alone = pictures(&out);
+    fs::write(room.out.join("input.json"), "{").expect("room");
+    i2slam!("export", room.out, "--format", "html", "--out", room.scratch.join("page.html"))
+        .exits_with(0)
+        .stderr_contains("input.json");
     assert_eq!(whole.len(), 4);
     assert_eq!(cut, alone);
     assert!(whole.iter().zip(&alone).all(|(whole, alone)| whole != alone));

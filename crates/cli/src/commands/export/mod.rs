@@ -135,7 +135,7 @@ fn write_folder(
 ) -> Result<String, Failure> {
     let missing = "the pictures are the map's alone, without detail of those taken";
     let sequence = match scene.has_detail_of_pictures() {
-        true => sequence_of(&arguments.result, missing)?,
+        true => sequence_of(&arguments.result, missing),
         false => None,
     };
     let mut load = sequence.as_ref().map(covered_pictures);

@@ -9,7 +9,7 @@ use i2slam_result::export::{Scene, html};
 
 /// Writes the viewer page, with the pictures of the dataset where it is still there.
 pub(super) fn write(arguments: &Export, scene: &Scene) -> Result<String, Failure> {
-    let sequence = sequence_of(&arguments.result, "the page has no pictures as filmed")?;
+    let sequence = sequence_of(&arguments.result, "the page has no pictures as filmed");
     let name = std::path::absolute(&arguments.result).unwrap_or_default();
     let name = name.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let title = sequence.as_ref().map_or(name, |sequence| sequence.name.clone());
