@@ -70,6 +70,13 @@ impl Phase {
         Self { name, total, first, done: first, started: Instant::now() }
     }
 
+    /// True if it goes on with so many steps of work that is called `name`; mapping starts over when the
+    /// camera or its readout is found anew.
+    fn goes_on(&self, name: &str, done: usize) -> bool {
+        let starts_over = done < self.first || (done == 0 && self.done > 0);
+        name == self.name && !starts_over
+    }
+
     /// True if frames are mapped in it.
     fn maps_frames(&self) -> bool {
         let stages = [Stage::Online, Stage::Frames, Stage::Keyframes, Stage::Mapping];
@@ -132,7 +139,7 @@ impl Progress {
         return_free_pages();
         self.show_live(name, done, total);
         let Ok(mut phase) = self.phase.lock() else { return };
-        if name != phase.name {
+        if !phase.goes_on(name, done) {
             *phase = Phase::new(name, done, total);
             match &self.display {
                 Display::Bar(bar) => show(bar, &phase),
@@ -315,5 +322,31 @@ fn show(bar: &ProgressBar, phase: &Phase) {
     match phase.total {
         0 => bar.enable_steady_tick(TICK),
         _ => bar.disable_steady_tick(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn work_that_starts_over_is_timed_anew() {
+        let mut phase = Phase::new("mapping frames", 26, 39);
+        phase.done = 39;
+        assert!(phase.goes_on("mapping frames", 39) && phase.goes_on("mapping frames", 30));
+        assert!(!phase.goes_on("mapping frames", 25) && !phase.goes_on("mapping frames", 0));
+        assert!(!phase.goes_on("rendering", 39));
+        phase = Phase::new("mapping frames", 0, 40);
+        assert!(phase.goes_on("mapping frames", 0));
+        phase.done = 40;
+        assert!(!phase.goes_on("mapping frames", 0));
+    }
+
+    #[test]
+    fn steps_done_before_a_phase_take_none_of_its_time() {
+        let started = Instant::now() - Duration::from_secs(10);
+        let phase = Phase { started, ..Phase::new("mapping frames", 30, 40) };
+        assert!((phase.seconds_per_step(35) - 2.0).abs() < 0.1);
+        assert_eq!(phase.rest(35), "  10 s left of these");
     }
 }
