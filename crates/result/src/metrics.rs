@@ -85,6 +85,10 @@ pub struct Metrics {
     pub hdr_frames: usize,
     /// Time from the first to the last row, given or estimated [s]; 0 for a global shutter.
     pub rolling_shutter_readout_s: f64,
+    /// Time from the time stamps of depth pictures to when they were taken, as estimated \[s\].
+    pub depth_delay_s: f64,
+    /// Displacement of depth to the right and down against the colour pictures, as estimated \[px\].
+    pub depth_shift_px: [f64; 2],
     /// Share of the light that reaches the corners of a picture, over that at its centre, as found; 1
     /// where none was found.
     pub vignetting_corner: Option<f64>,

@@ -204,6 +204,8 @@ impl Measurements {
             metrics.focal_length_assumed_px = estimated.then_some(camera.assumed_focal_length);
             metrics.focal_length_deviation = camera.focal_length_deviation;
             metrics.lens_distortion = camera.lens.map(|lens| lens.distortion);
+            (metrics.depth_delay_s, metrics.depth_shift_px) =
+                (camera.depth_delay, camera.depth_shift);
             if metrics.rolling_shutter_readout_s == 0.0 {
                 metrics.rolling_shutter_readout_s = camera.rolling_shutter_readout;
             }

@@ -28,6 +28,10 @@ pub struct CameraEstimate {
     pub field_of_view: f64,
     /// Time from the first to the last row of a picture [s], 0 for a global shutter.
     pub rolling_shutter_readout: f64,
+    /// Time from the time stamps of depth pictures to when they were taken, as estimated \[s\].
+    pub depth_delay: f64,
+    /// Displacement of depth to the right and down against the mapped pictures, as estimated \[px\].
+    pub depth_shift: [f64; 2],
     /// Whether lens distortion was estimated.
     pub is_distortion_estimated: bool,
     /// Camera of the recorded pictures with the estimated distortion, unless that is zero.
@@ -55,6 +59,8 @@ impl CameraEstimate {
             focal_length_deviation: found.focal_deviation,
             field_of_view: found.camera.horizontal_field_of_view().to_degrees(),
             rolling_shutter_readout: found.rolling_shutter_readout,
+            depth_delay: found.depth_model.as_ref().map_or(0.0, |model| model.delay),
+            depth_shift: found.depth_model.as_ref().map_or([0.0; 2], |model| model.shift),
             is_distortion_estimated: found.distortion.is_some(),
             lens: found
                 .distortion

@@ -160,7 +160,10 @@ fn finish_mapping(
         Ok(mut mapped) => {
             let is_map = |error: &SessionError| matches!(error, SessionError::Map { .. });
             match mapped.errors.iter().position(is_map) {
-                None => return Some(mapped),
+                None => {
+                    note_outdated(mapped.outdated, context);
+                    return Some(mapped);
+                }
                 Some(place) => mapped.errors.swap_remove(place).to_string(),
             }
         }
@@ -168,6 +171,17 @@ fn finish_mapping(
     };
     context.warn(format!("{failure}; all frames are mapped again, after the last one"));
     None
+}
+
+/// Tells why frames that are in the map are mapped a second time.
+fn note_outdated(frames: usize, context: &RunContext) {
+    if frames > 0 && !context.cancellation.is_cancelled() {
+        context.observer.note(&format!(
+            "the rolling shutter, or the delay or offset of depth, is known exactly only after the last \
+             frame: {} mapped again",
+            if frames == 1 { "one frame is".to_owned() } else { format!("{frames} frames are") }
+        ));
+    }
 }
 
 /// Number of frames that were mapped, of all that will be as far as is known.

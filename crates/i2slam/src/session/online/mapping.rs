@@ -51,6 +51,8 @@ pub(crate) struct MappedFrames {
     pub(crate) path: Reconstruction,
     /// Numbers in the front end of the frames in the map, without those to be mapped anew.
     pub(crate) current: BTreeSet<usize>,
+    /// Number of the frames to be mapped anew.
+    pub(crate) outdated: usize,
     pub(crate) hold_out: HoldOut,
     /// Errors of frames that could not be used.
     pub(crate) errors: Vec<SessionError>,
@@ -300,10 +302,12 @@ impl OnlineMapping {
         let lost: BTreeSet<usize> =
             sent().filter(|(_, pose)| pose.is_none()).map(|(index, _)| index).collect();
         let current = self.current(&path);
+        let outdated = self.sent.len() - lost.len() - current.len();
         let (mut session, errors) = self.queue.finish()?;
         session.forget(&lost);
         session.config.mapping = self.mapping;
-        Ok(MappedFrames { session, path, current, hold_out: self.hold_out, errors })
+        let hold_out = self.hold_out;
+        Ok(MappedFrames { session, path, current, outdated, hold_out, errors })
     }
 
     /// Frames in the map with rows and depth where the final path has them.
