@@ -39,8 +39,8 @@ pub struct PoseDeviation {
     pub position: f64,
     /// Of the orientation [rad].
     pub rotation: f64,
-    /// Whether the adjustment ended at its minimum, within a deviation, and nothing wrong was found in
-    /// the frame's picture.
+    /// Whether the adjustment ended at its minimum, within a deviation, most of the frame's landmarks
+    /// agree with it, and nothing wrong was found in its picture.
     pub converged: bool,
 }
 
@@ -86,6 +86,10 @@ pub(crate) fn pose_deviations(
         weak.chunk_by(|a, b| b.0 - a.0 <= SCALE_WINDOW).map(weak_link).collect();
     let mut out: Vec<Option<PoseDeviation>> =
         (0..out.len()).map(|frame| out[repeated_frame(is_repeat, frame)]).collect();
+    for (frame, known) in out.iter_mut().enumerate() {
+        let is_agreed = || state.agrees_with_landmarks(repeated_frame(is_repeat, frame));
+        known.iter_mut().for_each(|known| known.converged &= is_agreed());
+    }
     for WeakLink { frames: [first, last], .. } in &links {
         out[*first..=*last].iter_mut().flatten().for_each(|known| known.converged = false);
     }

@@ -4,7 +4,7 @@ mod parts;
 mod residuals;
 mod scale;
 
-pub(crate) use residuals::MAX_NOISE_SCALE;
+pub(crate) use residuals::{MAX_NOISE_SCALE, MIN_INLIER_RATIO};
 pub(crate) use scale::MIN_MEASURED_LANDMARKS;
 
 use crate::bundle::{FreeIntrinsics, RelativePoseFactor};

@@ -5,13 +5,13 @@ use crate::multiview::pnp::{PnpSolution, solve_pnp};
 use crate::progress::Stage;
 use crate::register::photographs::register_next_photograph;
 use crate::register::resection_intersection::adjust_in_turn;
-use crate::sfm_state::{MAX_JOINT_POSES, SfmState};
+use crate::sfm_state::{MAX_JOINT_POSES, MIN_INLIER_RATIO, SfmState};
 use i2slam_geometry::Pose;
 use rayon::prelude::*;
 
-/// Inliers of a frame's pose, and their ratio of the landmarks that it observes.
-const MIN_INLIERS: usize = 12;
-const MIN_INLIER_RATIO: f64 = 0.5;
+/// Inliers of a frame's pose, and their ratio of the landmarks that it observes: many may be a smaller
+/// part, because positions in a strongly blurred picture err by several of their deviations.
+const MIN_INLIERS: [(usize, f64); 2] = [(12, MIN_INLIER_RATIO), (30, 0.25)];
 /// Poses that are adjusted after each new one.
 const LOCAL_WINDOW: usize = 8;
 /// Growth of the number of poses at which all are adjusted.
@@ -184,7 +184,7 @@ fn register_next_keyframe(state: &mut SfmState) -> Option<usize> {
 fn register_best_of(state: &mut SfmState, frames: &[usize]) -> Option<usize> {
     let mut candidates: Vec<(usize, usize)> =
         frames.iter().map(|f| (state.matches(*f).len(), *f)).collect();
-    candidates.retain(|(matches, _)| *matches >= MIN_INLIERS);
+    candidates.retain(|(matches, _)| *matches >= MIN_INLIERS[0].0);
     candidates.sort_by(|a, b| b.0.cmp(&a.0).then(a.1.cmp(&b.1)));
     for (_, frame) in candidates {
         if let Some(found) = estimate_pose(state, frame) {
@@ -210,7 +210,9 @@ pub(crate) fn estimate_pose(state: &SfmState, frame: usize) -> Option<PnpSolutio
 
 /// Whether a pose has enough inliers among so many matches.
 fn has_enough_inliers(found: &PnpSolution, matches: usize) -> bool {
-    found.inliers >= MIN_INLIERS && found.inliers as f64 >= MIN_INLIER_RATIO * matches as f64
+    MIN_INLIERS.iter().any(|(least, ratio)| {
+        found.inliers >= *least && found.inliers as f64 >= ratio * matches as f64
+    })
 }
 
 /// Initial poses of a frame: at constant velocity between or beyond its neighbours, and equal to
@@ -246,7 +248,7 @@ fn nearest_posed(posed: &[usize], frame: usize) -> Vec<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fixtures::camera;
+    use crate::fixtures::{self, camera};
     use crate::track::tracks::Tracks;
     use i2slam_geometry::{Rotation, Vec3};
     use std::sync::Arc;
@@ -269,6 +271,31 @@ mod tests {
             // Place and turn are each linear in time.
             assert!(off.rotation.norm() < 1e-9, "{frame}: {off:?}");
             assert!((first.translation.x - stamps[frame]).abs() < 1e-3, "{frame}: {first:?}");
+        }
+    }
+
+    /// Positions in a strongly blurred picture err by several deviations, those of another scene by any amount.
+    #[test]
+    fn a_frame_is_posed_by_a_third_of_many_landmarks_but_not_by_chance() {
+        const BLURRED: usize = 6;
+        let pose = |frame: usize| {
+            Pose::new(Rotation::identity(), Vec3::new(0.05 * frame as f64, 0.0, 0.0))
+        };
+        for (error, is_posed) in [(2.4, true), (60.0, false)] {
+            let observe = |point: Vec3<f64>, frame: usize, n: &[f64]| {
+                let (u, v) = camera().project(pose(frame).inverse() * point);
+                let error = if frame == BLURRED { error } else { 0.3 };
+                Some([u + error * n[0], v + error * n[1]])
+            };
+            let mut state = fixtures::state((10, 60, 2), [150.0, 110.0], pose, observe);
+            let all = state.posed_frames();
+            state.adjust(&all, false, 10);
+            assert!(!state.agrees_with_landmarks(BLURRED));
+            state.poses[BLURRED] = None;
+            let found = estimate_pose(&state, BLURRED).map(|found| found.world_from_camera);
+            assert_eq!(found.is_some(), is_posed, "{error}");
+            let off = found.map_or(0.0, |found| found.local(pose(BLURRED)).translation.norm());
+            assert!(off < 0.02, "{off}");
         }
     }
 }

@@ -7,6 +7,8 @@ use i2slam_geometry::Pose;
 
 /// Reprojection error of an outlier [standard deviations].
 const OUTLIER_ERROR: f64 = 6.0;
+/// Ratio of inliers from which on landmarks determine a frame's pose as well as their deviations say.
+pub(crate) const MIN_INLIER_RATIO: f64 = 0.5;
 /// Largest factor between residuals and the tracker's deviations.
 pub(crate) const MAX_NOISE_SCALE: f64 = 4.0;
 
@@ -81,5 +83,10 @@ impl SfmState {
             reprojection_error(&self.camera, &pose, m) < MAX_INLIER_ERROR * self.noise_scale
         };
         self.matches(frame).iter().filter(agrees).count()
+    }
+
+    /// True where most landmarks in a frame are explained by its pose.
+    pub(crate) fn agrees_with_landmarks(&self, frame: usize) -> bool {
+        self.count_inliers(frame) as f64 >= MIN_INLIER_RATIO * self.matches(frame).len() as f64
     }
 }
