@@ -4,7 +4,7 @@ use crate::console::{counted, print_status};
 use i2slam::Reconstruction;
 use i2slam::dataset::{Layout, Sequence};
 use i2slam::run::{CameraEstimate, RuntimeForecast, odometry_size};
-use i2slam_result::{Metrics, UnitOfLength};
+use i2slam_result::{Metrics, UnitOfLength, depth_registration_line, rolling_shutter_line};
 use i2slam_storage::{Committed, listed};
 use std::path::{Path, PathBuf};
 
@@ -111,31 +111,9 @@ pub(crate) fn camera_lines(camera: &CameraEstimate) -> Vec<String> {
     } else if camera.is_distortion_estimated {
         lines.push("lens distortion: not measurable in the pictures, none is assumed".to_owned());
     }
-    if camera.rolling_shutter_readout != 0.0 {
-        let milliseconds = 1e3 * camera.rolling_shutter_readout;
-        lines.push(format!("rolling shutter: rows read in {milliseconds:.1} ms"));
-    }
+    lines.extend(rolling_shutter_line(camera.rolling_shutter_readout));
     lines.extend(depth_registration_line(camera.depth_delay, camera.depth_shift));
     lines
-}
-
-/// When and where depth was taken, if not with its time stamps and at the pixels of the pictures.
-fn depth_registration_line(delay: f64, [right, down]: [f64; 2]) -> Option<String> {
-    let when = (delay != 0.0).then(|| {
-        let side = if delay < 0.0 { "before" } else { "after" };
-        format!("taken {:.1} ms {side} their time stamps", 1e3 * delay.abs())
-    });
-    let place = ([right, down] != [0.0; 2]).then(|| {
-        let (across, along) =
-            (if right < 0.0 { "left" } else { "right" }, if down < 0.0 { "up" } else { "down" });
-        format!(
-            "displaced by {:.1} px to the {across} and {:.1} px {along}",
-            right.abs(),
-            down.abs()
-        )
-    });
-    let found: Vec<String> = when.into_iter().chain(place).collect();
-    (!found.is_empty()).then(|| format!("depth pictures: {}, which is corrected", found.join(", ")))
 }
 
 /// The expected duration of a long run, and, where flags can change it, what makes it shorter.
@@ -261,11 +239,12 @@ pub(super) fn print_summary(
             "lens distortion: k1 {k1:.4}, k2 {k2:.4}, estimated from the pictures and removed"
         ));
     }
-    if metrics.rolling_shutter_readout_s != 0.0 {
-        let milliseconds = 1e3 * metrics.rolling_shutter_readout_s;
-        print(&format!("rolling shutter: rows read in {milliseconds:.1} ms"));
-    } else if is_readout_estimated {
-        print("rolling shutter: none found, rows read at once (0.0 ms)");
+    match rolling_shutter_line(metrics.rolling_shutter_readout_s) {
+        Some(line) => print(&line),
+        None if is_readout_estimated => {
+            print("rolling shutter: none found, rows read at once (0.0 ms)");
+        }
+        None => {}
     }
     let registration = depth_registration_line(metrics.depth_delay_s, metrics.depth_shift_px);
     registration.iter().for_each(|line| print(line));
@@ -294,19 +273,6 @@ mod tests {
         assert!(line.contains("320.0 px ± 0.4 %, 90.0 degrees across"), "{line}");
         assert!(line.contains("(assumed 640.0 px, 53.1 degrees)"), "{line}");
         assert!(!focal_length_line((320.0, 90.0), None, 320.0).contains('±'));
-    }
-
-    #[test]
-    fn depth_that_is_late_or_displaced_is_told() {
-        assert_eq!(depth_registration_line(0.0, [0.0; 2]), None);
-        let line = depth_registration_line(-0.0134, [0.0; 2]).expect("a delay");
-        assert!(line.contains("taken 13.4 ms before their time stamps, which"), "{line}");
-        let line = depth_registration_line(0.02, [-2.5, 1.0]).expect("both");
-        assert!(
-            line.contains("20.0 ms after their")
-                && line.contains("2.5 px to the left and 1.0 px down"),
-            "{line}"
-        );
     }
 
     #[test]

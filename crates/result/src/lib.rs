@@ -13,6 +13,7 @@ mod metrics;
 mod pictures;
 pub mod plot;
 pub mod report;
+mod sensor_lines;
 mod tables;
 #[cfg(test)]
 mod tests;
@@ -29,5 +30,6 @@ pub use metrics::{Metrics, UnitOfLength};
 pub use pictures::{
     DEPTH_UNITS_PER_METRE, RenderKind, save_render, write_depth, write_picture, write_radiance,
 };
+pub use sensor_lines::{depth_registration_line, rolling_shutter_line};
 pub use tables::{online_trajectory, trajectory_line};
 pub use viewer::{NoViewer, VIEWER_FILE, ViewerPage};
