@@ -98,6 +98,7 @@ mod intrinsics {
 }
 
 mod rolling_shutter {
+    pub(crate) mod frame_motion;
     pub(crate) mod readout;
     pub(crate) mod rolling_shutter_init;
 }
