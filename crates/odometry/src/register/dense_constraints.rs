@@ -9,7 +9,7 @@ use crate::depth::depth_map::DepthMap;
 use crate::depth::registration::register_depth;
 use crate::online::revisits::MIN_REVISIT_AGE;
 use crate::progress::Stage;
-use crate::rolling_shutter::frame_motion::camera_velocity;
+use crate::rolling_shutter::frame_motion::FrameMotion;
 use crate::rolling_shutter::readout::{median_frame_interval, pose_later};
 use crate::sfm_state::SfmState;
 use i2slam_geometry::{Camera, Image, Pose, Tangent};
@@ -228,8 +228,8 @@ impl PreparedView {
         let picture = state.pictures.get(frame)?.as_ref()?.picture();
         let camera = camera_of(&state.camera, &picture);
         let interval = median_frame_interval(&state.timestamps)?;
-        let velocity = camera_velocity(&state.poses, &state.timestamps, frame, interval);
-        let velocity = velocity.unwrap_or_else(Tangent::zero);
+        let around = FrameMotion::new(&state.poses, &state.timestamps, frame, interval);
+        let velocity = around.map_or_else(Tangent::zero, |around| around.velocity);
         let registered = |map: &DepthMap| {
             let later = map.timestamp + state.depth_model.delay - state.timestamps[frame];
             let then = pose_later(&state.poses, &state.timestamps, frame, (later, interval));
