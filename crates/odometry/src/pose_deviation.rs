@@ -39,7 +39,7 @@ pub struct PoseDeviation {
     pub position: f64,
     /// Of the orientation [rad].
     pub rotation: f64,
-    /// Whether the adjustment ended at its minimum, within a deviation, most of the frame's landmarks
+    /// True if the adjustment ended at its minimum, within a deviation, most of the frame's landmarks
     /// agree with it, and nothing wrong was found in its picture.
     pub converged: bool,
 }

@@ -136,7 +136,7 @@ pub(super) fn cards(metrics: &Metrics) -> String {
     format!("<dl class=\"cards\" style=\"--columns:{columns}\">{out}</dl>")
 }
 
-/// How rows and depth were taken, a sentence each, as far as it was not all at once.
+/// Sentences on rows and depth that were not taken at once.
 fn sensor(metrics: &Metrics) -> String {
     let rows = rolling_shutter_line(metrics.rolling_shutter_readout_s);
     let depth = depth_registration_line(metrics.depth_delay_s, metrics.depth_shift_px);
