@@ -18,7 +18,7 @@ use i2slam_geometry::{Pose, Tangent};
 /// Poses before and after a frame that the spline goes through: each counts for a quarter of the one before it.
 const NEIGHBOURS: usize = 4;
 /// Largest distance of neighbouring poses [frame intervals].
-const MAX_GAP: f64 = 4.5;
+pub(super) const MAX_GAP: f64 = 4.5;
 
 /// Motion of a camera around the time of a frame.
 #[derive(Clone, Copy, Debug)]

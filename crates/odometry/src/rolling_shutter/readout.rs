@@ -7,7 +7,7 @@
 use crate::multiview::landmark::Landmark;
 use crate::multiview::lens_distortion::undistort;
 use crate::progress::Stage;
-use crate::rolling_shutter::frame_motion::FrameMotion;
+use crate::rolling_shutter::frame_motion::{FrameMotion, MAX_GAP};
 use crate::sfm_state::{MAX_READOUT, SfmState};
 use i2slam_compute::median;
 use i2slam_geometry::{Pose, StampedPose, interpolate_pose};
@@ -22,8 +22,6 @@ const ADJUSTMENT_STEPS: usize = 8;
 /// Stretches of a long sequence that are searched, and frames of each.
 const SAMPLE_STRETCHES: usize = 3;
 const STRETCH_FRAMES: usize = 100;
-/// Largest distance of a neighbouring frame for a velocity [frame intervals].
-const MAX_VELOCITY_GAP: f64 = 4.5;
 
 /// Estimates the readout from the present one on, with the focal length on demand, and corrects the
 /// observations; 0 if not clearly better than a global shutter.
@@ -189,7 +187,8 @@ pub(crate) fn correct_observations_in(
     timestamps: &[f64],
     (readout, interval): (f64, f64),
 ) {
-    let motion = FrameMotion::new(&state.poses, timestamps, frame, interval);
+    let around = || FrameMotion::new(&state.poses, timestamps, frame, interval);
+    let motion = if readout == 0.0 { None } else { around() };
     let (camera, distortion, by_frame) =
         (state.camera, state.distortion, Arc::clone(&state.by_frame));
     for track in &by_frame[frame] {
@@ -228,8 +227,7 @@ pub(crate) fn pose_later(
         Some(StampedPose { timestamp: timestamps[f], world_from_camera: (*poses.get(f)?)? })
     };
     let here = known(frame)?;
-    let is_near =
-        |p: &StampedPose| (p.timestamp - here.timestamp).abs() < MAX_VELOCITY_GAP * interval;
+    let is_near = |p: &StampedPose| (p.timestamp - here.timestamp).abs() < MAX_GAP * interval;
     let before = (0..frame).rev().find_map(known).filter(is_near);
     let after = (frame + 1..poses.len()).find_map(known).filter(is_near);
     let path: Vec<StampedPose> = before.into_iter().chain([here]).chain(after).collect();
