@@ -3,7 +3,7 @@
 use crate::sfm_state::SfmState;
 use crate::track::tracks::{Observation, Track, Tracks};
 use i2slam_check::noise;
-use i2slam_geometry::{Camera, Pose, Vec3};
+use i2slam_geometry::{Camera, Image, Pose, Vec3};
 
 /// Camera of the unit tests.
 pub(crate) fn camera() -> Camera<f64> {
@@ -35,4 +35,17 @@ pub(crate) fn state(
     state.poses = (0..frames).map(|frame| Some(pose(frame))).collect();
     state.triangulate_missing();
     state
+}
+
+/// Random brightness of 6 px blobs, moved to the right by `shift` [px].
+pub(crate) fn moved_blobs(shift: f32) -> Image<f32> {
+    let numbers = noise(3, 40 * 40);
+    let at = |i: usize, j: usize| numbers[j * 40 + i] as f32;
+    Image::from_fn(96, 72, 1, |_, column, row| {
+        let (x, y) = ((column as f32 - shift) / 6.0 + 10.0, row as f32 / 6.0 + 10.0);
+        let (i, j, u, v) = (x as usize, y as usize, x.fract(), y.fract());
+        let top = at(i, j) * (1.0 - u) + at(i + 1, j) * u;
+        let bottom = at(i, j + 1) * (1.0 - u) + at(i + 1, j + 1) * u;
+        0.5 + 0.4 * (top * (1.0 - v) + bottom * v)
+    })
 }

@@ -112,6 +112,7 @@ mod relocalize {
 
 mod online {
     pub(crate) mod frame_update;
+    pub(crate) mod local_map;
     mod map_restart;
     pub(crate) mod online_map;
     pub(crate) mod path_alignment;

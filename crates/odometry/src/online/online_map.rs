@@ -8,6 +8,7 @@ use super::frame_update::TrackingStatus;
 use crate::depth::readings::{read_depth_at_prediction, read_depth_in};
 use crate::depth::scale::scale_to_readings;
 use crate::loops::loop_closure::close_last_loop;
+use crate::online::local_map::localize;
 use crate::online::path_alignment::{PosePair, align_path};
 use crate::online::revisits::{Revisit, find_revisit};
 use crate::register::dense_constraints::{RECENT_KEYFRAMES, RecentKeyframes};
@@ -35,6 +36,8 @@ const READOUT_ESTIMATES: [usize; 6] = [6, 10, 20, 30, 60, 120];
 /// Keyframes up to which all are adjusted with every new one by colour alone: paths bend most while
 /// they are short.
 const MAX_ALWAYS_ADJUSTED_KEYFRAMES: usize = 30;
+/// Landmarks below which a frame is localised by those of the last keyframes.
+const MIN_TRACKED_LANDMARKS: usize = 50;
 /// Keyframes after a loop before another is looked for: each takes an adjustment of all keyframes, and
 /// what follows sees the same place.
 const LOOP_PAUSE: usize = 8;
@@ -110,7 +113,7 @@ impl OnlineMap {
             let interval = median_frame_interval(&self.state.timestamps).unwrap_or(0.0);
             if !is_repeat[frame] {
                 match self.is_started() {
-                    true => self.register(frame, interval),
+                    true => self.register(frame, tracker, interval),
                     false => self.measure_again(frame, interval),
                 }
             }
@@ -267,13 +270,17 @@ impl OnlineMap {
     }
 
     /// Registers a frame to the map, first with rows and depth for the predicted velocity.
-    fn register(&mut self, frame: usize, interval: f64) {
+    fn register(&mut self, frame: usize, tracker: &mut Tracker, interval: f64) {
         self.state.poses[frame] = initial_poses(&self.state, frame).first().copied();
         correct_rows(&mut self.state, frame, interval);
         read_depth_at_prediction(&mut self.state, frame, interval);
         let state = &mut self.state;
         state.poses[frame] = None;
-        state.poses[frame] = estimate_pose(state, frame).map(|found| found.world_from_camera);
+        let found = estimate_pose(state, frame);
+        state.poses[frame] = found.map(|found| found.world_from_camera);
+        if found.is_none_or(|found| found.inliers < MIN_TRACKED_LANDMARKS) {
+            self.localize(frame, tracker);
+        }
         self.measure_again(frame, interval);
         if let Some(refined) = refine_pose(&self.state, frame) {
             self.state.poses[frame] = Some(refined);
@@ -282,6 +289,19 @@ impl OnlineMap {
         if frame > 0 {
             self.measure_again(frame - 1, interval);
         }
+    }
+
+    /// Poses the last frame by landmarks of the last keyframes, wherever its points went, and follows those.
+    fn localize(&mut self, frame: usize, tracker: &mut Tracker) {
+        let Some((pose, found)) = localize(&self.state, tracker, frame) else { return };
+        let astray = self.state.outliers_of(frame, &pose);
+        tracker.follow_found(&found, &astray);
+        for track in found.iter().map(|f| &f.point.track).chain(&astray) {
+            self.state.remove_observation(*track, frame);
+        }
+        let observed = found.iter().map(|f| (f.point.track, f.observation)).collect();
+        self.state.add_observations(observed);
+        self.state.poses[frame] = Some(pose);
     }
 
     /// Corrects the rows of a frame and reads its depth for the velocity that is known now.

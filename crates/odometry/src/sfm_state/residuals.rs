@@ -2,6 +2,7 @@
 
 use super::SfmState;
 use crate::multiview::landmark::{MAX_INLIER_ERROR, Match, reprojection_error};
+use crate::track::tracks::Observation;
 use i2slam_compute::median;
 use i2slam_geometry::Pose;
 
@@ -83,6 +84,18 @@ impl SfmState {
             reprojection_error(&self.camera, &pose, m) < MAX_INLIER_ERROR * self.noise_scale
         };
         self.matches(frame).iter().filter(agrees).count()
+    }
+
+    /// Tracks observed in a frame elsewhere than a pose shows their landmarks.
+    pub(crate) fn outliers_of(&self, frame: usize, pose: &Pose<f64>) -> Vec<usize> {
+        let is_off = |(track, o): &(usize, &Observation)| {
+            let landmark = self.landmarks[*track].as_ref();
+            landmark.is_some_and(|landmark| {
+                let error = reprojection_error(&self.camera, pose, &(landmark, o));
+                error >= MAX_INLIER_ERROR * self.noise_scale
+            })
+        };
+        self.observations_in(frame).filter(is_off).map(|(track, _)| track).collect()
     }
 
     /// True where most landmarks in a frame are explained by its pose.

@@ -42,6 +42,13 @@ pub(crate) struct FollowedPoint {
     guess: [f32; 2],
 }
 
+impl FollowedPoint {
+    /// A point that was not followed but is predicted at a position.
+    pub(crate) fn predicted(at: [f32; 2]) -> Self {
+        Self { found: None, guess: at }
+    }
+}
+
 /// Outcome of the search for a point.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct TrackOutcome {

@@ -1,5 +1,6 @@
 //! Tracks points through a sequence, also backward from their first keyframe; chooses keyframes.
 
+pub(crate) mod predicted_points;
 mod resumption;
 
 use crate::track::corners::detect_corners;
@@ -37,6 +38,8 @@ pub(crate) const BACKWARD_FRAMES: usize = 16;
 /// frames.
 const MIN_KEYFRAME_SHARPNESS: f32 = 0.85;
 const MAX_KEYFRAME_DELAY: usize = 3;
+/// Last keyframes whose pictures are kept, whether points are followed from them or not.
+const KEPT_KEYFRAMES: usize = 8;
 /// Pictures whose median sharpness is the usual one.
 const SHARPNESS_FRAMES: usize = 15;
 /// Smallest side of a cell [px].
@@ -215,12 +218,11 @@ impl Tracker {
         let has_points = |(frame, _): &(&usize, &TrackedPicture)| {
             all().filter(|(p, _)| p.anchor_frame == **frame).count() >= MIN_SHUTTER_POINTS
         };
-        let length = |p: &TrackedPicture| p.blur[0].hypot(p.blur[1]);
         let sharpest = self
             .anchors
             .iter()
             .filter(has_points)
-            .min_by(|a, b| length(a.1).total_cmp(&length(b.1)));
+            .min_by(|a, b| a.1.blur_length().total_cmp(&b.1.blur_length()));
         let Some((frame, anchor)) = sharpest else { return };
         let points: Vec<_> = all().filter(|(p, _)| p.anchor_frame == *frame).collect();
         let correlations = SHARES.map(|share| {
@@ -310,7 +312,8 @@ impl Tracker {
         }
         self.keyframe_points = self.points.iter().filter(|p| p.hidden_frames == 0).count();
         let used: BTreeSet<usize> = self.points.iter().map(|p| p.anchor_frame).collect();
-        self.anchors.retain(|frame, _| used.contains(frame));
+        let last = self.anchors.keys().rev().nth(KEPT_KEYFRAMES).copied();
+        self.anchors.retain(|frame, _| used.contains(frame) || Some(*frame) > last);
     }
 
     /// A point that begins in `next`, with its observations in the frames before, newest first in
@@ -355,6 +358,11 @@ impl TrackedPoint {
 }
 
 impl TrackedPicture {
+    /// Length of the blur [px].
+    fn blur_length(&self) -> f32 {
+        self.blur[0].hypot(self.blur[1])
+    }
+
     /// This picture as the first and another one as the second, with equal blur.
     fn equal_blur(&self, other: &Self) -> EqualBlur {
         EqualBlur::new((&self.pyramid, self.blur), (&other.pyramid, other.blur))

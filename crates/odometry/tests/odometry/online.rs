@@ -150,6 +150,20 @@ fn frames_behind_a_covered_lens_are_lost_and_the_place_is_found_again() {
     }
 }
 
+/// No point is followed through so many covered pictures; by colour alone the map starts behind them.
+#[test]
+fn landmarks_are_found_again_where_constant_velocity_shows_them() {
+    const COVERED: std::ops::Range<usize> = 14..19;
+    for with_depth in [true, false] {
+        let found = updates(&path(), with_depth, |i| COVERED.contains(&i));
+        assert!(found[COVERED].iter().all(|update| update.pose.is_none()));
+        let again = if with_depth { COVERED.end } else { COVERED.end + 1 };
+        assert!(found[again..].iter().all(|u| u.status == TrackingStatus::Tracked), "{found:?}");
+        let error = online_error(&found, &path(), with_depth);
+        assert!(error < 0.02, "{error}");
+    }
+}
+
 /// The way back shows what the way there has shown: old landmarks are followed again, and stored
 /// keyframes cover the view.
 #[test]

@@ -40,32 +40,20 @@ impl Tracker {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::fixtures::moved_blobs;
     use crate::track::tracker::MAX_HIDDEN_FRAMES;
-    use i2slam_check::noise;
     use i2slam_geometry::Image;
-
-    /// Random brightness of 6 px blobs, moved to the right by `shift` [px].
-    fn room(shift: f32) -> Image<f32> {
-        let numbers = noise(3, 40 * 40);
-        let at = |i: usize, j: usize| numbers[j * 40 + i] as f32;
-        Image::from_fn(96, 72, 1, |_, column, row| {
-            let (x, y) = ((column as f32 - shift) / 6.0 + 10.0, row as f32 / 6.0 + 10.0);
-            let (i, j, u, v) = (x as usize, y as usize, x.fract(), y.fract());
-            let top = at(i, j) * (1.0 - u) + at(i + 1, j) * u;
-            let bottom = at(i, j + 1) * (1.0 - u) + at(i + 1, j + 1) * u;
-            0.5 + 0.4 * (top * (1.0 - v) + bottom * v)
-        })
-    }
 
     /// Points that were lost in the dark go on where they are found again, and none is followed twice.
     #[test]
     fn a_point_that_is_found_again_goes_on_in_its_track() {
         let mut tracker = Tracker::default();
-        let first = tracker.track(&room(0.0), false).started;
+        let first = tracker.track(&moved_blobs(0.0), false).started;
         for _ in 0..=MAX_HIDDEN_FRAMES {
             tracker.track(&Image::new(96, 72, 1), false);
         }
-        let again = (0..9).map(|_| tracker.track(&room(0.0), false)).find(|t| t.keyframe.is_some());
+        let again =
+            (0..9).map(|_| tracker.track(&moved_blobs(0.0), false)).find(|t| t.keyframe.is_some());
         let again = again.expect("a keyframe");
         assert!(again.observed.is_empty());
         let frame = tracker.frames - 1;
@@ -77,7 +65,7 @@ mod tests {
         tracker.resume(&found);
         let most = again.started.len().max(first.len()) + 2;
         assert!(tracker.points.len() <= most, "{}", tracker.points.len());
-        let next = tracker.track(&room(0.5), false).observed;
+        let next = tracker.track(&moved_blobs(0.5), false).observed;
         let goes_on = |(track, o): &&(usize, Observation)| {
             let was = first.get(*track).map(|track| track.observations[0].raw()[0]);
             was.is_some_and(|was| (o.raw()[0] - was - 0.5).abs() < 0.2)
