@@ -123,7 +123,7 @@ fn a_run_cancelled_while_frames_come_keeps_path_and_map() {
     assert_eq!(indices(&outcome), (0..TRACKED).collect::<Vec<_>>());
     assert!(outcome.reconstruction.map.gaussians() > 1000);
     assert_eq!(outcome.reconstruction.online_trajectory.len(), TRACKED);
-    assert!(has_warning(&outcome, "those of visual odometry"), "{:?}", outcome.warnings);
+    assert!(has_warning(&outcome, "neither exposure nor motion blur"), "{:?}", outcome.warnings);
 }
 
 /// The path so far stands for one that is not adjusted to the end.

@@ -58,6 +58,11 @@ pub(crate) fn render(arguments: &Render) -> Result<(), Failure> {
     // Locked before it is read, so that no other command replaces it meanwhile.
     let mut pictures = Pictures::open(arguments, own_poses)?;
     let reconstruction = i2slam_result::load(&arguments.result)?;
+    if reconstruction.map.is_empty() {
+        return Err(Failure::Failed(
+            "the map of the result is empty: there is nothing to draw".into(),
+        ));
+    }
     note_edited_trajectory(&arguments.result, &reconstruction);
     let mut frames = pictures.numbered(frames(arguments, pose, &reconstruction)?);
     interrupt::listen();

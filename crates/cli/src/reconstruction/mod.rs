@@ -175,6 +175,9 @@ fn reconstruct_into(
     let WrittenRun { metrics, map, folder, not_placed, problems } = written?;
     job.poses.iter().for_each(|poses| poses.warn_if_none());
     let interrupted = interrupt::requested();
+    if interrupted && metrics.degraded {
+        print_status(&format!("warning: degraded: {}", metrics.degraded_because.join("; ")));
+    }
     let problems = if interrupted { problems } else { with_shortfall(&metrics, problems) };
     let ended = report_problems(&problems);
     let is_readout_estimated = job.options.config.input.optimise_rolling_shutter;
@@ -183,7 +186,8 @@ fn reconstruct_into(
         _ => print,
     };
     messages::print_summary(print, &metrics, (&map, &not_placed), &folder, is_readout_estimated);
-    if interrupted && job.renders != RenderSelection::None {
+    let is_map_empty = metrics.gaussians == 0 && metrics.degraded;
+    if interrupted && !is_map_empty && job.renders != RenderSelection::None {
         let folder = folder.display();
         print_status(&format!("interrupted before all renders: i2slam render {folder} makes them"));
     }

@@ -168,6 +168,22 @@ fn protocols_choose_frames_and_numbers() {
     assert_eq!(frames, [0, 1, 2, 3, 4, 5]);
     assert!(all["ate_rmse_m"].as_f64().is_some_and(|v| v < 0.01), "the dataset's own truth");
     assert!(all["depth_l1_m"].as_f64().is_some_and(|v| v < 0.2), "{all}");
+    // Depth is compared in the lengths of the truth.
+    let doubled = room.scratch.join("doubled.txt");
+    let truth = fs::read_to_string(room.data.join("groundtruth.txt")).expect("true poses");
+    let double = |line: &str| -> String {
+        let number = |(i, v): (usize, &str)| match (1..4).contains(&i) {
+            true => (2.0 * v.parse::<f64>().expect("a number")).to_string(),
+            false => v.to_owned(),
+        };
+        line.split_whitespace().enumerate().map(number).collect::<Vec<_>>().join(" ")
+    };
+    let poses = truth.lines().filter(|line| !line.starts_with('#'));
+    fs::write(&doubled, poses.map(double).collect::<Vec<_>>().join("\n")).expect("room");
+    let [doubled, data] = [&doubled, &room.data].map(|path| path.to_str().expect("a name"));
+    let (scaled, _) = judged(&["--reference", data, "--groundtruth", doubled, "--align", "sim3"]);
+    let [metric, scaled] = [&all, &scaled].map(|figures| figures["depth_l1_m"].as_f64());
+    assert!(scaled.zip(metric).is_some_and(|(scaled, metric)| scaled > 1.0 + metric));
     let list = room.scratch.join("list.txt");
     fs::write(&list, "# mine\n2\n4\n77\n").expect("room");
     let list = list.to_str().expect("a name");

@@ -78,13 +78,25 @@ fn ctrl_c_keeps_the_path_and_the_earlier_result() {
     for name in ["out-partial", "out-partial-2"] {
         let beside = footage.scratch.join(name);
         let ran = interrupted().stderr_contains("stays").stderr_contains(name);
-        ran.stderr_contains("those of visual odometry");
+        let ran = ran.stderr_contains("neither exposure nor motion blur");
         assert_eq!(fs::read(out.join("report.html")).ok(), Some(earlier.clone()));
         assert_eq!(rows(&beside.join("trajectory.txt")), 24, "the whole path");
         let metrics = fs::read_to_string(beside.join("metrics.json")).expect("figures");
         let metrics: serde_json::Value = serde_json::from_str(&metrics).expect("JSON");
         assert_eq!((&metrics["complete"], &metrics["frames"]), (&false.into(), &24.into()));
-        assert!(metrics["warnings"].to_string().contains("those of visual odometry"));
+        assert!(metrics["warnings"].to_string().contains("neither exposure nor motion blur"));
+        let ran = ran.stderr_contains("degraded: the map is empty");
+        assert!(!ran.err.contains("interrupted before all renders"), "{}", ran.err);
+        let refused =
+            |ran: Ran| ran.exits_with(1).stderr_contains("the map of the result is empty");
+        for (format, place) in
+            [("colmap", "c"), ("nerfstudio", "n"), ("video", "v.mp4"), ("ply", "p.ply")]
+        {
+            let place = footage.scratch.join(place);
+            refused(i2slam!("export", beside, "--format", format, "-o", place));
+            assert!(!place.exists(), "{format}");
+        }
+        refused(i2slam!("render", beside));
     }
 }
 
@@ -100,7 +112,8 @@ fn ctrl_c_while_frames_are_mapped_keeps_path_and_map() {
     running.until("tracking and mapping");
     sleep(Duration::from_secs(2));
     let ran = running.interrupted().exits_with(130);
-    ran.stderr_contains("writing what there is").stderr_contains("those of visual odometry");
+    ran.stderr_contains("writing what there is")
+        .stderr_contains("neither exposure nor motion blur");
     assert!(rows(&out.join("trajectory.txt")) > 1);
     i2slam!("render", out, "--frames", "0..1").exits_with(0);
 }

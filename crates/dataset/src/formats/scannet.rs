@@ -100,8 +100,8 @@ pub(super) fn list(
 pub(super) fn border_warning(options: &OpenOptions) -> Option<String> {
     (options.crop_border < EMPTY_BORDER).then(|| {
         format!(
-            "ScanNet pictures have an empty border: crop_border {EMPTY_BORDER} removes it, as the \
-             paper does ({EMPTY_BORDER} pixels of depth, {} of colour)",
+            "ScanNet pictures have an empty border: crop_border = {EMPTY_BORDER} under [input] in a \
+             file for --config removes it, as the paper does ({EMPTY_BORDER} pixels of depth, {} of colour)",
             2 * EMPTY_BORDER
         )
     })

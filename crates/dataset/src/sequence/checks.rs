@@ -201,7 +201,8 @@ pub(super) fn coverage_warning(resampler: &Resampler) -> Option<String> {
     let percent = 100.0 * missing as f64 / valid_mask.data.len() as f64;
     Some(format!(
         "removing the lens distortion leaves {percent:.1} % of every frame unrecorded at its \
-         edges (depth 0, colour repeated); crop_border {} removes it",
+         edges (depth 0, colour repeated); crop_border = {} under [input] in a file for --config \
+         removes it",
         resampler.full_coverage_border
     ))
 }

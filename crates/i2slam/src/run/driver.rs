@@ -397,7 +397,7 @@ impl Driver<'_, '_> {
         if count > 0 {
             let frames = if count == 1 { "frame" } else { "frames" };
             self.context.warn(format!(
-                "ended early: the poses of {count} {frames} are those of visual odometry, not refined"
+                "ended early: {count} {frames} have a pose, but neither exposure nor motion blur was estimated"
             ));
         }
     }

@@ -8,7 +8,8 @@ use super::frame_update::TrackingStatus;
 use crate::depth::readings::{read_depth_at_prediction, read_depth_in};
 use crate::depth::scale::scale_to_readings;
 use crate::loops::loop_closure::close_last_loop;
-use crate::online::local_map::localize;
+use crate::multiview::pnp::PnpSolution;
+use crate::online::local_map::{LocalMap, track_local_map};
 use crate::online::path_alignment::{PosePair, align_path};
 use crate::online::revisits::{Revisit, find_revisit};
 use crate::register::dense_constraints::{RECENT_KEYFRAMES, RecentKeyframes};
@@ -36,8 +37,8 @@ const READOUT_ESTIMATES: [usize; 6] = [6, 10, 20, 30, 60, 120];
 /// Keyframes up to which all are adjusted with every new one by colour alone: paths bend most while
 /// they are short.
 const MAX_ALWAYS_ADJUSTED_KEYFRAMES: usize = 30;
-/// Landmarks below which a frame is localised by those of the last keyframes.
-const MIN_TRACKED_LANDMARKS: usize = 50;
+/// Inliers of a frame's pose below which landmarks of the last keyframes are searched in it.
+const MIN_TRACKED_INLIERS: usize = 50;
 /// Keyframes after a loop before another is looked for: each takes an adjustment of all keyframes, and
 /// what follows sees the same place.
 const LOOP_PAUSE: usize = 8;
@@ -276,10 +277,11 @@ impl OnlineMap {
         read_depth_at_prediction(&mut self.state, frame, interval);
         let state = &mut self.state;
         state.poses[frame] = None;
-        let found = estimate_pose(state, frame);
-        state.poses[frame] = found.map(|found| found.world_from_camera);
-        if found.is_none_or(|found| found.inliers < MIN_TRACKED_LANDMARKS) {
-            self.localize(frame, tracker);
+        match estimate_pose(state, frame) {
+            Some(found) if found.inliers >= MIN_TRACKED_INLIERS => {
+                state.poses[frame] = Some(found.world_from_camera);
+            }
+            found => self.register_locally(frame, found, tracker, interval),
         }
         self.measure_again(frame, interval);
         if let Some(refined) = refine_pose(&self.state, frame) {
@@ -291,17 +293,30 @@ impl OnlineMap {
         }
     }
 
-    /// Poses the last frame by landmarks of the last keyframes, wherever its points went, and follows those.
-    fn localize(&mut self, frame: usize, tracker: &mut Tracker) {
-        let Some((pose, found)) = localize(&self.state, tracker, frame) else { return };
-        let astray = self.state.outliers_of(frame, &pose);
+    /// Registers the last frame by landmarks of the last keyframes, where more of them agree with a pose than
+    /// with that of the points that were followed, and follows those.
+    fn register_locally(
+        &mut self,
+        frame: usize,
+        followed: Option<PnpSolution>,
+        tracker: &mut Tracker,
+        interval: f64,
+    ) {
+        let map = LocalMap { state: &self.state, tracker, frame, interval };
+        let start = followed.map(|followed| followed.world_from_camera);
+        let found = track_local_map(&map, start);
+        self.state.poses[frame] = start;
+        let least = followed.map_or(0, |followed| followed.inliers);
+        let Some((pose, found)) = found.filter(|(_, found)| found.len() > least) else { return };
+        self.state.poses[frame] = Some(pose);
+        correct_rows(&mut self.state, frame, interval);
+        let astray = self.state.tracks_off_pose(frame, &pose);
         tracker.follow_found(&found, &astray);
         for track in found.iter().map(|f| &f.point.track).chain(&astray) {
             self.state.remove_observation(*track, frame);
         }
         let observed = found.iter().map(|f| (f.point.track, f.observation)).collect();
         self.state.add_observations(observed);
-        self.state.poses[frame] = Some(pose);
     }
 
     /// Corrects the rows of a frame and reads its depth for the velocity that is known now.

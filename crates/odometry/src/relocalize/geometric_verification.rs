@@ -193,7 +193,7 @@ impl<'a> KeyframeComparison<'a> {
 }
 
 /// Correction for the rolling shutter near a position of a frame [px].
-pub(crate) fn rolling_shutter_offset(state: &SfmState, frame: usize, at: [f64; 2]) -> [f64; 2] {
+fn rolling_shutter_offset(state: &SfmState, frame: usize, at: [f64; 2]) -> [f64; 2] {
     let far = |o: &Observation| (o.at()[0] - at[0]).powi(2) + (o.at()[1] - at[1]).powi(2);
     let near = state.observations_in(frame).min_by(|a, b| far(a.1).total_cmp(&far(b.1)));
     near.map_or([0.0; 2], |(_, o)| [o.raw()[0] - o.at()[0], o.raw()[1] - o.at()[1]])

@@ -43,9 +43,9 @@ pub(crate) struct FollowedPoint {
 }
 
 impl FollowedPoint {
-    /// A point that was not followed but is predicted at a position.
-    pub(crate) fn predicted(at: [f32; 2]) -> Self {
-        Self { found: None, guess: at }
+    /// A point that was not followed, around a position where it may be.
+    pub(crate) fn not_followed(guess: [f32; 2]) -> Self {
+        Self { found: None, guess }
     }
 }
 

@@ -305,6 +305,12 @@ impl Tracker {
         tracks
     }
 
+    /// Distance along either axis within which two points are not both followed: half a cell [px].
+    fn nearest_distance(&self) -> f32 {
+        let half = self.recent.back().map_or(0, |last| cell_size(last.pyramid.finest()) / 2);
+        half.max(MIN_CELL / 2) as f32
+    }
+
     /// Starts to measure motion and overlap from the last keyframe, and drops anchors without points.
     fn end_keyframe(&mut self) {
         for point in &mut self.points {
@@ -367,6 +373,11 @@ impl TrackedPicture {
     fn equal_blur(&self, other: &Self) -> EqualBlur {
         EqualBlur::new((&self.pyramid, self.blur), (&other.pyramid, other.blur))
     }
+}
+
+/// Whether two positions are within a distance along both axes.
+fn is_near(a: [f32; 2], b: [f32; 2], near: f32) -> bool {
+    (a[0] - b[0]).abs() < near && (a[1] - b[1]).abs() < near
 }
 
 /// Corners in cells without a tracked point; some 600 of 800 cells have one.

@@ -184,16 +184,25 @@ impl Scene {
         Pose::new((turn * rotation).normalized(), turn.rotate(translation))
     }
 
+    /// Refuses an empty map, from which nothing can be drawn.
+    ///
+    /// # Errors
+    /// [`ExportError::Refused`].
+    pub(crate) fn require_map(&self) -> Result<(), ExportError> {
+        match self.reconstruction.map.is_empty() {
+            true => Err(ExportError::refused("the map of the result is empty")),
+            false => Ok(()),
+        }
+    }
+
     /// The Gaussians for viewers, in the world of a file.
     ///
     /// # Errors
     /// [`ExportError::Refused`] for a hash grid, and an empty map.
     pub fn splats(&self, axes: Axes) -> Result<Vec<Splat>, ExportError> {
+        self.require_map()?;
         let map = match &self.reconstruction.map {
-            Map::Gaussians(map) if !map.is_empty() => map,
-            Map::Gaussians(_) => {
-                return Err(ExportError::refused("the map of the result is empty"));
-            }
+            Map::Gaussians(map) => map,
             Map::HashGrid(_) => {
                 return Err(ExportError::refused(
                     "the map is a hash grid, which has no Gaussians to write: export its pictures \

@@ -39,6 +39,7 @@ pub fn write(
     comment: &str,
     watch: &Watch<'_>,
 ) -> Result<Video, ExportError> {
+    scene.require_map()?;
     let times: Vec<f64> = scene.frames.iter().map(|frame| frame.timestamp).collect();
     let poses: Vec<_> = scene.frames.iter().map(|frame| frame.middle()).collect();
     let path = smooth_path(&times, &poses, f64::from(RATE));

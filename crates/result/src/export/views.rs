@@ -32,6 +32,7 @@ pub(crate) fn write_views(
     taken: &mut LoadTaken<'_>,
     watch: &Watch<'_>,
 ) -> Result<SeedPoints, ExportError> {
+    scene.require_map()?;
     let reconstruction = &scene.reconstruction;
     let mut viewer = reconstruction.viewer();
     let mut points = SeedPoints::new(reconstruction.camera);

@@ -8,7 +8,10 @@ use std::fmt::Write;
 /// A sentence that sums up the run.
 pub(super) fn lead(report: &Report<'_>) -> String {
     let metrics = report.metrics;
-    let end = if metrics.complete { "" } else { " The run was ended before its last frame." };
+    let end = match metrics.complete {
+        true => "",
+        false => " The run was ended early: its map is not refined, or some frames are missing.",
+    };
     let unit = match metrics.unit_of_length {
         UnitOfLength::Metre => "",
         UnitOfLength::Unknown => {

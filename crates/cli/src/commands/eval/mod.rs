@@ -228,7 +228,8 @@ fn evaluate_pictures(
     }
     let only_radiance = chosen.frames.is_empty() && !evaluation.radiance.is_empty();
     if !only_radiance {
-        let evaluated = pictures::evaluate(arguments, estimate, reference, chosen)?;
+        let scale = evaluation.trajectory.as_ref().map_or(1.0, |errors| errors.scale());
+        let evaluated = pictures::evaluate(arguments, (estimate, reference), scale, chosen)?;
         evaluation.true_pictures = Some(reference::picture_source(reference, &evaluated.checksums));
         evaluation.pictures = Some(evaluated);
         evaluation.is_against_recorded = reference.uses_recorded();

@@ -33,11 +33,11 @@ pub(super) struct PictureErrors {
     pub(super) list: Option<String>,
 }
 
-/// Measures every selected frame.
+/// Measures every selected frame; true lengths are `scale` times those of the estimate.
 pub(super) fn evaluate(
     arguments: &Eval,
-    estimate: &Estimate,
-    reference: &Reference,
+    (estimate, reference): (&Estimate, &Reference),
+    scale: f64,
     chosen: FrameSelection,
 ) -> Result<PictureErrors, Failure> {
     if arguments.protocol == Protocol::Splatam && matches!(reference, Reference::Folder { .. }) {
@@ -52,6 +52,9 @@ pub(super) fn evaluate(
         let mut pair = pair(estimate, reference, *frame, render)?;
         // Depth was drawn at the estimated pose.
         pair.depth = pair.depth.filter(|_| !arguments.optimise_poses);
+        if let Some((drawn, _)) = &mut pair.depth {
+            drawn.data.iter_mut().for_each(|depth| *depth *= scale as f32);
+        }
         let values = metrics.iter().map(|metric| (metric.measure)(&pair));
         let values: Result<Vec<_>, _> = values.collect();
         let values = values.map_err(|e| failed(render, e))?;

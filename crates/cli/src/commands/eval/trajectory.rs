@@ -138,6 +138,11 @@ impl TrajectoryErrors {
         matches!(self.absolute.alignment, Alignment::Sim3)
     }
 
+    /// Ratio of true lengths to those of the trajectory: 1 where it is in metres.
+    pub(super) fn scale(&self) -> f64 {
+        if self.is_scaled() { self.absolute.scale } else { 1.0 }
+    }
+
     pub(super) fn rows(&self) -> Vec<TableRow> {
         let (t, r) = (&self.absolute, &self.relative);
         let fit = match t.alignment {

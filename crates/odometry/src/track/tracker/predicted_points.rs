@@ -1,6 +1,6 @@
 //! Points of earlier keyframes that are searched in the last picture where a map predicts them.
 
-use super::{MIN_CELL, TrackedPicture, TrackedPoint, Tracker, cell_size};
+use super::{TrackedPicture, TrackedPoint, Tracker, is_near};
 use crate::track::motion_blur::EqualBlur;
 use crate::track::patch::AffineWarp;
 use crate::track::point_search::{AnchorPatch, FollowedPoint, TrackOutcome, search_point};
@@ -12,10 +12,10 @@ use std::collections::{BTreeMap, BTreeSet};
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct PredictedPoint {
     pub(crate) track: usize,
-    /// Keyframe, and position there [px].
+    /// Keyframe, and the position that was measured there [px].
     pub(crate) keyframe: usize,
-    pub(crate) at: [f32; 2],
-    /// Warp of its surroundings from there into the last picture.
+    pub(crate) at_keyframe: [f32; 2],
+    /// Warp of its surroundings from there into the last picture, where its centre is predicted.
     pub(crate) warp: AffineWarp,
 }
 
@@ -33,9 +33,10 @@ impl Tracker {
         self.anchors.iter().map(|(frame, picture)| (*frame, picture.blur_length()))
     }
 
-    /// Translation of the picture over the last `frames` [px]; `None` where it is not known any more.
+    /// Translation of the picture over the last `frames` [px]; `None` beyond a cut or the kept pictures.
     pub(crate) fn translation_over(&self, frames: usize) -> Option<[f32; 2]> {
-        let first = self.recent.len().checked_sub(frames)?;
+        // The first picture after a cut is moved against another scene.
+        let first = self.recent.len().checked_sub(frames).filter(|first| *first > 0)?;
         let shifts = self.recent.range(first..).map(|picture| picture.shift);
         Some(shifts.fold([0.0; 2], |sum, shift| [sum[0] + shift[0], sum[1] + shift[1]]))
     }
@@ -45,19 +46,23 @@ impl Tracker {
     /// A patch agrees with a smear of itself anywhere between the ends, and blur is known roughly: to the
     /// deviation of a position comes that of a place within the smear by which the pictures differ.
     pub(crate) fn search_predicted(&self, points: &[PredictedPoint], most: f32) -> Vec<FoundPoint> {
-        let Some(last) = self.recent.back() else { return Vec::new() };
+        let Some(last) = self.recent.back().filter(|_| !points.is_empty()) else {
+            return Vec::new();
+        };
+        let used: BTreeSet<usize> = points.iter().map(|point| point.keyframe).collect();
         let compare = |(frame, keyframe): (&usize, &TrackedPicture)| {
             let smear = (last.blur_length().powi(2) - keyframe.blur_length().powi(2)).abs().sqrt();
             (*frame, (keyframe.equal_blur(last), f64::from(smear) / 12_f64.sqrt()))
         };
-        let equal: BTreeMap<usize, (EqualBlur, f64)> = self.anchors.iter().map(compare).collect();
+        let shown = self.anchors.iter().filter(|(frame, _)| used.contains(frame));
+        let equal: BTreeMap<usize, (EqualBlur, f64)> = shown.map(compare).collect();
         let search = |point: &PredictedPoint| {
-            let (equal, sigma) = equal.get(&point.keyframe)?;
+            let (equal, smear_sigma) = equal.get(&point.keyframe)?;
             let anchor = self.anchor(point)?;
-            let predicted = FollowedPoint::predicted(point.warp.centre);
+            let predicted = FollowedPoint::not_followed(point.warp.centre);
             let outcome = search_point(&anchor, point.warp, &predicted, &last.pyramid, equal);
             let found = outcome.observation(self.frames - 1)?;
-            let observation = found.with_sigma(found.sigma().hypot(*sigma));
+            let observation = found.with_sigma(found.sigma().hypot(*smear_sigma));
             let [x, y] = [0, 1].map(|i| outcome.warp.centre[i] - point.warp.centre[i]);
             (x.hypot(y) < most).then_some(FoundPoint { point: *point, outcome, observation })
         };
@@ -65,33 +70,36 @@ impl Tracker {
     }
 
     /// Follows points on from where they were found in the last picture, in place of those near them that
-    /// began in the last keyframe, and no longer follows the tracks that went astray.
+    /// began there, if it is a keyframe, and no longer follows the tracks that went astray.
     pub(crate) fn follow_found(&mut self, found: &[FoundPoint], astray: &[usize]) {
-        let Some(last) = self.recent.back() else { return };
-        let near = (cell_size(last.pyramid.finest()) / 2).max(MIN_CELL / 2) as f32;
-        let is_near =
-            |a: [f32; 2], b: [f32; 2]| (a[0] - b[0]).abs() < near && (a[1] - b[1]).abs() < near;
+        let near = self.nearest_distance();
         let replaced: BTreeSet<usize> =
             found.iter().map(|f| f.point.track).chain(astray.iter().copied()).collect();
+        let is_keyframe = self.last_keyframe + 1 == self.frames;
         let is_replaced = |p: &TrackedPoint| {
-            let is_new = p.track >= self.first_new_track;
-            let is_found = || found.iter().any(|f| is_near(f.outcome.warp.centre, p.warp.centre));
+            let is_new = is_keyframe && p.track >= self.first_new_track;
+            let is_found =
+                || found.iter().any(|f| is_near(f.outcome.warp.centre, p.warp.centre, near));
             replaced.contains(&p.track) || (is_new && is_found())
         };
         let stay = self.points.iter().filter(|p| !is_replaced(p)).cloned();
         let again = |found: &FoundPoint| {
             let FoundPoint { point, outcome, .. } = found;
-            let began =
-                TrackedPoint::new(point.track, point.at, self.anchor(point)?, point.keyframe);
+            let at = point.at_keyframe;
+            let began = TrackedPoint::new(point.track, at, self.anchor(point)?, point.keyframe);
             let correlation = outcome.correlation?;
-            Some(TrackedPoint { warp: outcome.warp, correlation, ..began })
+            let at_keyframe = (point.keyframe == self.last_keyframe).then_some(at);
+            Some(TrackedPoint { warp: outcome.warp, correlation, at_keyframe, ..began })
         };
         self.points = stay.chain(found.iter().filter_map(again)).collect();
+        if is_keyframe {
+            self.end_keyframe();
+        }
     }
 
     /// The patch of a point in its keyframe.
     fn anchor(&self, point: &PredictedPoint) -> Option<AnchorPatch> {
-        AnchorPatch::new(&self.anchors.get(&point.keyframe)?.pyramid, point.at)
+        AnchorPatch::new(&self.anchors.get(&point.keyframe)?.pyramid, point.at_keyframe)
     }
 }
 
@@ -111,9 +119,9 @@ mod tests {
         tracker.track(&moved_blobs(20.0), false);
         let predicted = |off: f32| -> Vec<PredictedPoint> {
             let point = |(track, began): (usize, &crate::track::tracks::Track)| {
-                let at = began.observations[0].raw().map(|v| v as f32);
-                let warp = AffineWarp::translation([at[0] + 20.0 + off, at[1]]);
-                PredictedPoint { track, keyframe: 0, at, warp }
+                let at_keyframe @ [x, y] = began.observations[0].raw().map(|v| v as f32);
+                let warp = AffineWarp::translation([x + 20.0 + off, y]);
+                PredictedPoint { track, keyframe: 0, at_keyframe, warp }
             };
             first.iter().enumerate().map(point).filter(|p| p.warp.centre[0] < 85.0).collect()
         };
@@ -122,7 +130,8 @@ mod tests {
         assert!(10 * found.len() > 7 * points.len(), "{} of {}", found.len(), points.len());
         for f in &found {
             let [x, y] = f.observation.raw();
-            let off = [x - f64::from(f.point.at[0]) - 20.0, y - f64::from(f.point.at[1])];
+            let [u, v] = f.point.at_keyframe.map(f64::from);
+            let off = [x - u - 20.0, y - v];
             assert!(off[0].hypot(off[1]) < 0.1, "{off:?}");
         }
         let by_chance = tracker.search_predicted(&predicted(12.0), 4.0).len();

@@ -1,6 +1,6 @@
 //! Points of the map that are followed again where the camera comes back to them.
 
-use super::{MIN_CELL, TrackedPoint, Tracker, cell_size};
+use super::{TrackedPoint, Tracker, is_near};
 use crate::track::point_search::AnchorPatch;
 use crate::track::tracks::Observation;
 
@@ -10,18 +10,14 @@ impl Tracker {
     pub(crate) fn resume(&mut self, found: &[(usize, Observation)]) {
         let Some(last) = self.recent.back() else { return };
         let frame = self.frames - 1;
-        let image = last.pyramid.finest();
-        let near = (cell_size(image) / 2).max(MIN_CELL / 2) as f32;
-        let is_near =
-            |a: [f32; 2], b: [f32; 2]| (a[0] - b[0]).abs() < near && (a[1] - b[1]).abs() < near;
+        let near = self.nearest_distance();
         let mut resumed: Vec<TrackedPoint> = Vec::new();
         for (track, o) in found {
             let at = o.raw().map(|v| v as f32);
             let is_older = |p: &&TrackedPoint| p.track < self.first_new_track;
-            let is_taken =
-                self.points.iter().filter(is_older).chain(&resumed).any(|p| {
-                    p.track == *track || (p.hidden_frames == 0 && is_near(p.warp.centre, at))
-                });
+            let is_taken = self.points.iter().filter(is_older).chain(&resumed).any(|p| {
+                p.track == *track || (p.hidden_frames == 0 && is_near(p.warp.centre, at, near))
+            });
             let Some(anchor) = (!is_taken).then(|| AnchorPatch::new(&last.pyramid, at)).flatten()
             else {
                 continue;
@@ -29,7 +25,8 @@ impl Tracker {
             resumed.push(TrackedPoint::new(*track, at, anchor, frame));
         }
         self.points.retain(|p| {
-            let is_replaced = || resumed.iter().any(|r| is_near(r.warp.centre, p.warp.centre));
+            let is_replaced =
+                || resumed.iter().any(|r| is_near(r.warp.centre, p.warp.centre, near));
             p.track < self.first_new_track || !is_replaced()
         });
         self.points.extend(resumed);
