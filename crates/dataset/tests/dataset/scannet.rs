@@ -171,7 +171,7 @@ fn numbers_with_gaps_are_times_with_gaps() {
 fn the_empty_border_is_spoken_of_until_it_is_removed() {
     let folder = Folder::new();
     extract(&folder, "", &[0]);
-    let speaks = |s: &Sequence| s.warnings.iter().any(|w| w.contains("crop_border 12"));
+    let speaks = |s: &Sequence| s.warnings.iter().any(|w| w.contains("crop_border = 12"));
     assert!(speaks(&open(&folder.0).expect("opens")));
     let too_much = OpenOptions { crop_border: 12, ..OpenOptions::default() };
     assert_says(Sequence::open(&folder.0, &too_much), &["crop_border"]);

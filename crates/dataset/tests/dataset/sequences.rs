@@ -260,7 +260,7 @@ fn the_recorded_clip_loses_one_frame_to_thinning() {
         .expect("opens");
     assert_eq!(all.len(), 105);
     assert_eq!((all.camera.cx, all.camera.cy), (319.1, 255.8));
-    assert!(all.warnings.iter().any(|w| w.contains("crop_border 18")), "{:?}", all.warnings);
+    assert!(all.warnings.iter().any(|w| w.contains("crop_border = 18")), "{:?}", all.warnings);
     let cropped = OpenOptions { crop_border: 18, scale: 0.5, ..OpenOptions::default() };
     let sequence = Sequence::open(&path, &cropped).expect("opens");
     assert!(sequence.valid_mask.is_none());
