@@ -173,7 +173,7 @@ impl LocalMap<'_> {
         found.into_iter().fold(0, usize::max)
     }
 
-    /// Whether a landmark was found where a pose shows it.
+    /// True if the reprojection error of a landmark that was found is that of an inlier.
     fn agrees(&self, found: &FoundPoint, pose: &Pose<f64>) -> bool {
         let error = |m: Match<'_>| reprojection_error(&self.state.camera, pose, &m);
         let matched = self.state.landmarks[found.point.track].as_ref();

@@ -17,15 +17,15 @@ impl SfmState {
     /// Marks observations that their landmark does not explain as outliers, and drops landmarks
     /// left with fewer than two inliers; their observations may be tried again.
     pub(crate) fn reject_outliers(&mut self) {
-        self.reject_tracks_off_pose((0..self.landmarks.len()).collect());
+        self.reject_outliers_of((0..self.landmarks.len()).collect());
     }
 
     /// Rejects outliers among the landmarks that some frames observe.
     pub(crate) fn reject_outliers_in(&mut self, frames: &[usize]) {
-        self.reject_tracks_off_pose(self.tracks_in(frames));
+        self.reject_outliers_of(self.tracks_in(frames));
     }
 
-    fn reject_tracks_off_pose(&mut self, tracks: Vec<usize>) {
+    fn reject_outliers_of(&mut self, tracks: Vec<usize>) {
         let (camera, worst) = (self.camera, OUTLIER_ERROR * self.noise_scale);
         let adjusted: Vec<Option<Pose<f64>>> =
             (0..self.poses.len()).map(|f| self.poses[f].filter(|_| self.is_adjusted(f))).collect();

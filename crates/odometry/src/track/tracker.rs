@@ -375,7 +375,7 @@ impl TrackedPicture {
     }
 }
 
-/// Whether two positions are within a distance along both axes.
+/// True if two positions differ by less than `near` along both axes.
 fn is_near(a: [f32; 2], b: [f32; 2], near: f32) -> bool {
     (a[0] - b[0]).abs() < near && (a[1] - b[1]).abs() < near
 }
