@@ -310,19 +310,21 @@ fn show(bar: &ProgressBar, phase: &Phase) {
         0 => "{prefix} {spinner} {wide_msg}  {elapsed}",
         _ => "{prefix} {bar:24.cyan/dim} {pos}/{len}  {wide_msg}  {eta} left",
     };
+    bar.set_position(0);
+    bar.set_length(phase.total as u64);
     bar.set_prefix(phase.name);
     bar.set_message("");
     if let Ok(style) = ProgressStyle::with_template(template) {
         bar.set_style(style);
     }
-    bar.set_length(phase.total as u64);
-    bar.set_position(0);
     bar.reset_eta();
     bar.reset_elapsed();
     match phase.total {
         0 => bar.enable_steady_tick(TICK),
         _ => bar.disable_steady_tick(),
     }
+    // Draws follow each other 50 ms apart at the least: what was shown above may be half of a phase.
+    bar.force_draw();
 }
 
 #[cfg(test)]

@@ -60,6 +60,9 @@ pub struct FrameEstimate {
     pub held_out: bool,
     /// Whether tracking succeeded; otherwise the pose is predicted.
     pub tracked: bool,
+    /// Whether tone and motion during the exposure were estimated; otherwise the pose alone is known, as in
+    /// runs that ended early: tone is that of the frame before, blur length and losses are 0.
+    pub refined: bool,
     /// Losses at the end of tracking.
     pub losses: Losses,
     /// Convergence of tracking.
@@ -88,6 +91,7 @@ impl FrameEstimate {
             keyframe: false,
             held_out: false,
             tracked: true,
+            refined: true,
             losses: Losses::default(),
             convergence: Convergence::default(),
             blur_length: 0.0,

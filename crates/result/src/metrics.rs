@@ -148,7 +148,8 @@ impl Metrics {
         let tracking = sum(|f| f.tracking_seconds);
         let mapping = sum(|f| f.mapping_seconds);
         let per_frame = 1.0 / frames.len().max(1) as f64;
-        let mut blur: Vec<f64> = frames.iter().map(|f| f.blur_length).collect();
+        let refined = frames.iter().filter(|f| f.refined);
+        let mut blur: Vec<f64> = refined.map(|f| f.blur_length).collect();
         blur.sort_by(f64::total_cmp);
         Self {
             version: env!("CARGO_PKG_VERSION").to_owned(),

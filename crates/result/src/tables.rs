@@ -110,12 +110,18 @@ pub(crate) fn frames(frames: &[FrameEstimate], files: &FrameFiles) -> String {
     text.push('\n');
     for frame in frames {
         let [log_exposure, red, green, blue] = frame.tone.to_array().map(f64::from);
-        let losses = frame.losses;
+        let [image, depth, trajectory, blur] = [
+            frame.losses.image,
+            frame.losses.depth,
+            frame.losses.trajectory,
+            frame.blur_length,
+        ]
+        .map(|value| optional(frame.refined.then_some(value)));
         let [x, y, z, rx, ry, rz] = frame.depth_offset.to_array();
         let convergence = frame.convergence;
         let [position, rotation] =
             [convergence.position_deviation, convergence.rotation_deviation.map(f64::to_degrees)]
-                .map(|v| v.map_or_else(String::new, |v| v.to_string()));
+                .map(optional);
         let cells: [&dyn Display; 28] = [
             &frame.index,
             &frame.timestamp,
@@ -123,10 +129,10 @@ pub(crate) fn frames(frames: &[FrameEstimate], files: &FrameFiles) -> String {
             &red.exp(),
             &green.exp(),
             &blue.exp(),
-            &losses.image,
-            &losses.depth,
-            &losses.trajectory,
-            &frame.blur_length,
+            &image,
+            &depth,
+            &trajectory,
+            &blur,
             &format_args!("{:.4}", frame.tracking_seconds),
             &format_args!("{:.4}", frame.mapping_seconds),
             &frame.gaussians,
@@ -150,6 +156,11 @@ pub(crate) fn frames(frames: &[FrameEstimate], files: &FrameFiles) -> String {
         text += &format!(",{}\n", files.cell(frame.index));
     }
     text
+}
+
+/// A cell with a number, empty of `None`.
+fn optional(value: Option<f64>) -> String {
+    value.map_or_else(String::new, |value| value.to_string())
 }
 
 /// First line of `frames.csv`.
@@ -233,6 +244,7 @@ fn frame(row: &str, shutter: ShutterPoses<f64>, responses: usize) -> Result<Fram
         row.value("depth_lead_ry")?,
         row.value("depth_lead_rz")?,
     ];
+    let blur_length = row.optional("blur_length_px")?;
     Ok(FrameEstimate {
         index: row.value("index")?,
         timestamp: row.value("timestamp")?,
@@ -249,10 +261,11 @@ fn frame(row: &str, shutter: ShutterPoses<f64>, responses: usize) -> Result<Fram
         keyframe: row.flag("keyframe")?,
         held_out: row.flag("held_out")?,
         tracked: row.flag("tracked")?,
+        refined: blur_length.is_some(),
         losses: Losses {
-            image: row.value("loss_image")?,
-            depth: row.value("loss_depth")?,
-            trajectory: row.value("loss_trajectory")?,
+            image: row.optional("loss_image")?.unwrap_or(0.0),
+            depth: row.optional("loss_depth")?.unwrap_or(0.0),
+            trajectory: row.optional("loss_trajectory")?.unwrap_or(0.0),
         },
         convergence: Convergence {
             converged: row.flag("converged")?,
@@ -260,7 +273,7 @@ fn frame(row: &str, shutter: ShutterPoses<f64>, responses: usize) -> Result<Fram
             position_deviation: row.optional("position_deviation_m")?,
             rotation_deviation: row.optional("rotation_deviation_deg")?.map(f64::to_radians),
         },
-        blur_length: row.value("blur_length_px")?,
+        blur_length: blur_length.unwrap_or(0.0),
         tracking_seconds: row.value("tracking_seconds")?,
         mapping_seconds: row.value("mapping_seconds")?,
         gaussians: row.value("gaussians")?,

@@ -38,6 +38,7 @@ pub(crate) fn example(frames: usize) -> Reconstruction {
             keyframe: i.is_multiple_of(5),
             held_out: i == 4,
             tracked: i != 3,
+            refined: true,
             losses: Losses { image: 0.02 + 0.01 * t.cos(), depth: 0.004, trajectory: 1e-5 * t },
             convergence: Convergence {
                 converged: i != 2,
@@ -125,6 +126,7 @@ fn a_saved_folder_loads_as_it_was() {
     assert_eq!(after.rolling_shutter_readout, before.rolling_shutter_readout);
     for (a, b) in after.frames.iter().zip(&before.frames) {
         assert_eq!((a.shutter, a.tone, a.losses), (b.shutter, b.tone, b.losses));
+        assert_eq!(a.refined, b.refined);
         let rest = |f: &FrameEstimate| (f.depth_offset, f.held_out, f.readout);
         assert_eq!(rest(a), rest(b));
         let (found, kept) = (a.convergence, b.convergence);

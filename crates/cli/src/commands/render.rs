@@ -1,6 +1,6 @@
 //! `i2slam render`: renders a saved result from its own poses or from others.
 
-use crate::arguments::{existing_path, frame_range};
+use crate::arguments::{Machine, existing_path, frame_range};
 use crate::console::{counted, print, print_status};
 use crate::failure::Failure;
 use crate::interrupt;
@@ -47,9 +47,12 @@ pub(crate) struct Render {
     /// Replace what was drawn into the folder given by --out before; other files in it stay
     #[arg(long, requires = "out")]
     pub(crate) overwrite: bool,
+    #[command(flatten)]
+    pub(crate) machine: Machine,
 }
 
 pub(crate) fn render(arguments: &Render) -> Result<(), Failure> {
+    arguments.machine.use_threads()?;
     let own_poses = arguments.pose.is_some() || arguments.poses.is_some();
     let kinds = kinds(arguments, own_poses)?;
     let pose = arguments.pose.as_deref().map(parse_pose).transpose()?;
@@ -66,7 +69,7 @@ pub(crate) fn render(arguments: &Render) -> Result<(), Failure> {
     note_edited_trajectory(&arguments.result, &reconstruction);
     let mut frames = pictures.numbered(frames(arguments, pose, &reconstruction)?);
     interrupt::listen();
-    let progress = Progress::new(frames.len(), false);
+    let progress = Progress::new(frames.len(), arguments.machine.quiet);
     if own_poses && kinds.contains(&RenderKind::Sharp) {
         expose(&mut frames, &reconstruction, &progress)?;
     }

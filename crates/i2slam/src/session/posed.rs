@@ -292,7 +292,8 @@ impl Session {
             return false;
         }
         self.source.get_or_insert_default().place_in_world(world_from_camera);
-        let estimate = self.unrefined_estimate(place, index, timestamp, world_from_camera);
+        let mut estimate = self.unrefined_estimate(place, index, timestamp, world_from_camera);
+        estimate.refined = false;
         self.insert(place, estimate);
         true
     }

@@ -363,6 +363,7 @@ fn unrefined_frames_keep_their_pose_relative_to_keyframes() {
     let frames = session.frames();
     assert!(frames.iter().map(|f| f.index).eq(0..7), "in order, each once");
     assert!([1, 3, 5].iter().all(|i| frames[*i].held_out && !frames[*i].keyframe));
+    assert!(frames.iter().all(|frame| frame.refined == frame.index.is_multiple_of(2)));
     for (frame, keyframe) in [(1, 0), (3, 2), (5, 4)] {
         let near = [keyframe, frame + 1].map(|k| moved_on_path(k).inverse() * moved_on_path(frame));
         let there =

@@ -27,21 +27,24 @@ pub fn tum(scene: &Scene, mark: &str) -> String {
 }
 
 /// One row per frame: position in the stream, time [s], pose at mid-exposure (world from camera),
-/// exposure relative to the first frame, gains of white balance, blur length [px], flags, and file of the
-/// picture taken.
+/// exposure relative to the first frame, gains of white balance, blur length [px] (both empty of
+/// frames that are not refined), flags, and file of the picture taken.
 pub fn csv(scene: &Scene) -> String {
     let mut text = format!("{CSV_COLUMNS},{FILE_COLUMN}\n");
     for frame in &scene.frames {
         let pose = scene.pose(frame, Axes::YDown);
         let (t, q) = (pose.translation, pose.rotation);
-        let [exposure, red, green, blue] = frame.tone.to_array().map(f32::exp);
+        let refined = |value: String| if frame.refined { value } else { String::new() };
+        let [exposure, red, green, blue] =
+            frame.tone.to_array().map(|log| refined(log.exp().to_string()));
+        let blur = refined(format!("{:.3}", frame.blur_length));
         let (keyframe, held_out) = (u8::from(frame.keyframe), u8::from(frame.held_out));
-        let (place, time, blur) = (frame.index, frame.timestamp, frame.blur_length);
+        let (place, time) = (frame.index, frame.timestamp);
         // Writing to a string cannot fail.
         writeln!(
             text,
             "{place},{time},{:.9},{:.9},{:.9},{:.9},{:.9},{:.9},{:.9},{exposure},{red},{green},{blue},\
-             {blur:.3},{keyframe},{held_out},{}",
+             {blur},{keyframe},{held_out},{}",
             t.x, t.y, t.z, q.v.x, q.v.y, q.v.z, q.w, scene.files.cell(place)
         )
         .ok();

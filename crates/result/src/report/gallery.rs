@@ -72,7 +72,7 @@ fn write_pair(
          aria-label=\"share of the input picture\"></div>"
     )?;
     write!(out, "<figcaption>Frame {}", escape(name))?;
-    if let Some(frame) = estimate {
+    if let Some(frame) = estimate.filter(|frame| frame.refined) {
         let exposure = significant(f64::from(frame.tone.exposure()));
         let blur = frame.blur_length;
         write!(out, ": blur {blur:.1} px, exposure {exposure} times that of the first frame")?;

@@ -39,6 +39,9 @@ fn summary(metrics: &Metrics, title: &str) -> String {
              found of the other {}.",
             given - tracked
         ),
+        _ if metrics.degraded || !metrics.complete => {
+            format!("A map of light and a camera path of {given} {nouns} of <b>{title}</b>.")
+        }
         _ => format!(
             "{given} {nouns} of <b>{title}</b> became one sharp map of light and a camera path."
         ),

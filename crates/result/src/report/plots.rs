@@ -28,6 +28,11 @@ fn points(frames: &[FrameEstimate], value: impl Fn(&FrameEstimate) -> f64) -> Po
     frames.iter().map(|f| (f.index as f64, value(f))).collect()
 }
 
+/// A value that frames have after refinement.
+fn refined(frame: &FrameEstimate, value: f64) -> f64 {
+    if frame.refined { value } else { f64::NAN }
+}
+
 /// The path from above and from the side, and its error.
 pub(super) fn trajectory(report: &Report<'_>) -> String {
     let frames = &report.reconstruction.frames;
@@ -142,9 +147,14 @@ fn exposure(report: &Report<'_>) -> Plot {
     plot
 }
 
-/// A value of a frame that was found; others have the tone of the frame before, which says nothing.
+/// A value of a frame that was found and refined; others have the tone of the frame before, which says
+/// nothing.
 fn found(frame: &FrameEstimate, value: f64) -> f64 {
-    if frame.tracked { value } else { f64::NAN }
+    if has_tone(frame) { value } else { f64::NAN }
+}
+
+fn has_tone(frame: &FrameEstimate) -> bool {
+    frame.tracked && frame.refined
 }
 
 /// True exposures [stops], with the mean offset to the estimate removed: one gain is free.
@@ -165,9 +175,9 @@ fn align_exposure(estimate: &[(f64, f64)], truth: &[(usize, f64)]) -> Points {
 }
 
 fn white_balance(frames: &[FrameEstimate]) -> Plot {
-    let tracked = || frames.iter().filter(|frame| frame.tracked);
+    let found_frames = || frames.iter().filter(|frame| has_tone(frame));
     let balance = |frame: &FrameEstimate| frame.tone.log_white_balance;
-    let is_constant = tracked().zip(tracked().skip(1)).all(|(a, b)| balance(a) == balance(b));
+    let is_constant = found_frames().zip(found_frames().skip(1)).all(|(a, b)| balance(a) == balance(b));
     let explanation = match is_constant {
         true => "Gain of each colour; it is the same in all frames.",
         false => "Gain of each colour; green is 1 where red and blue are free.",
@@ -238,7 +248,7 @@ pub(super) fn blur(report: &Report<'_>) -> String {
                        open (median over the picture).";
     let mut plot = over_frames("Blur", explanation, "blur [px]");
     plot.series =
-        vec![Series::line("blur", "c1", points(frames, |f| f.blur_length)).styled(Style::Area)];
+        vec![Series::line("blur", "c1", points(frames, |f| refined(f, f.blur_length))).styled(Style::Area)];
     plot.html()
 }
 
@@ -271,14 +281,14 @@ pub(super) fn statistics(report: &Report<'_>) -> String {
     let explanation = "Mean difference between predicted and taken picture when the pose was found \
                        (1 is black against white).";
     let mut image = over_frames("Picture loss", explanation, "difference");
-    image.series = vec![Series::line("picture", "c1", points(frames, |f| f.losses.image))];
+    image.series = vec![Series::line("picture", "c1", points(frames, |f| refined(f, f.losses.image)))];
     let mut plots = vec![time, image];
     let config = &report.reconstruction.config;
     // Of colour alone there is no measured depth.
     if !config.is_rgb() {
         let (explanation, unit) = depth_loss(config);
         let mut depth = over_frames("Depth loss", explanation, unit);
-        let centimetres = |f: &FrameEstimate| 100.0 * f.losses.depth;
+        let centimetres = |f: &FrameEstimate| refined(f, 100.0 * f.losses.depth);
         depth.series = vec![Series::line("depth", "c3", points(frames, centimetres))];
         plots.push(depth);
     }

@@ -91,6 +91,10 @@ impl Evaluation {
             rows.iter_mut().for_each(|row| row.rest += ", poses as tracked");
         }
         rows.extend(self.pictures.iter().flat_map(PictureErrors::rows));
+        if self.is_against_recorded {
+            // The true pictures are blurred as well.
+            rows.iter_mut().for_each(|row| row.name = row.name.replace("sharp ", ""));
+        }
         rows.extend(self.corrections.iter().flatten().map(MetricValue::row));
         rows.extend(self.radiance.iter().map(MetricValue::row));
         rows.extend(self.tones.iter().map(MetricValue::row));

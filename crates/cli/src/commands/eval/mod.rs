@@ -10,7 +10,7 @@ mod reference;
 mod tones;
 mod trajectory;
 
-use crate::arguments::existing_path;
+use crate::arguments::{Machine, existing_path};
 use crate::console::{print, print_status};
 use crate::failure::{Failure, print_json};
 use crate::messages::note_saved_parts;
@@ -67,6 +67,8 @@ pub(crate) struct Eval {
     /// Print JSON
     #[arg(long)]
     pub(crate) json: bool,
+    #[command(flatten)]
+    pub(crate) machine: Machine,
 }
 
 /// Published evaluation protocols.
@@ -110,6 +112,7 @@ pub(crate) fn eval(arguments: &Eval) -> Result<(), Failure> {
         frames::published_lists().iter().for_each(|line| print(line));
         return Ok(());
     }
+    arguments.machine.use_threads()?;
     if let Some(file) = &arguments.write_list {
         return frames::write_list(&arguments.estimate, file, arguments.overwrite);
     }
@@ -211,7 +214,7 @@ fn evaluate_pictures(
 ) -> Result<(), Failure> {
     let wanted = frames::select(arguments, estimate, reference)?;
     if arguments.optimise_poses {
-        let drawn = pose_optimization::draw(estimate, reference, &wanted)?;
+        let drawn = pose_optimization::draw((estimate, reference), &wanted, arguments.machine.quiet)?;
         evaluation.corrections = Some(drawn);
     } else if let (Some(result), Some(_)) = (estimate.result(), &evaluation.trajectory)
         && estimate.renders("sharp", "png")?.is_empty()

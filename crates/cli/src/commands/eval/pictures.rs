@@ -46,7 +46,7 @@ pub(super) fn evaluate(
         ));
     }
     let metrics = metrics_of(arguments.protocol);
-    let progress = Progress::new(chosen.frames.len(), false);
+    let progress = Progress::new(chosen.frames.len(), arguments.machine.quiet);
     let done = AtomicUsize::new(0);
     let row = |(frame, render): &(usize, std::path::PathBuf)| {
         let mut pair = pair(estimate, reference, *frame, render)?;

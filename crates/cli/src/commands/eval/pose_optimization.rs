@@ -32,9 +32,9 @@ pub(super) fn check(arguments: &Eval, estimate: &Estimate) -> Result<(), Failure
 /// Renders `frames` to `renders/optimised/sharp/`, writes their poses to
 /// `trajectory_optimised.txt`, and returns the mean corrections.
 pub(super) fn draw(
-    estimate: &Estimate,
-    reference: &Reference,
+    (estimate, reference): (&Estimate, &Reference),
     frames: &[usize],
+    quiet: bool,
 ) -> Result<Vec<MetricValue>, Failure> {
     let Some(result) = estimate.result() else { return Ok(Vec::new()) };
     let reconstruction = i2slam_result::load(result)?;
@@ -47,7 +47,7 @@ pub(super) fn draw(
     let chosen = reconstruction.frames.iter().filter(|f| frames.binary_search(&f.index).is_ok());
     let chosen: Vec<&FrameEstimate> = chosen.collect();
     interrupt::listen();
-    let progress = Progress::new(chosen.len(), false);
+    let progress = Progress::new(chosen.len(), quiet);
     let count = chosen.len();
     for frame in chosen {
         if interrupt::requested() {

@@ -8,7 +8,7 @@ use crate::image_files::read_png;
 use i2slam::Config;
 use i2slam::dataset::{OpenOptions, Sequence};
 use i2slam::geometry::{Image, StampedPose};
-use i2slam_result::RunInput;
+use i2slam_result::{RunInput, load_metrics};
 use i2slam_result::report::GroundTruthSource;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -93,7 +93,8 @@ impl Reference {
         }
     }
 
-    /// Time stamps of the frames that the run was given [s]; `None` where they are not known.
+    /// Time stamps of the frames that the run was given [s]; `None` where they are not known, as where
+    /// the run had another number of frames, of a video of this dataset for example.
     pub(super) fn frames_of_run(&self, estimate: &Estimate) -> Result<Option<Vec<f64>>, Failure> {
         let (Self::Dataset { sequence, .. }, Some(result)) = (self, estimate.result()) else {
             return Ok(None);
@@ -104,7 +105,10 @@ impl Reference {
             chosen.contains(&index) && (index - chosen.start).is_multiple_of(options.stride.max(1))
         };
         let given = sequence.entries.iter().filter(|entry| is_given(entry.index));
-        Ok(Some(given.map(|entry| entry.timestamp).collect()))
+        let stamps: Vec<f64> = given.map(|entry| entry.timestamp).collect();
+        let counted = load_metrics(result).map_or(0, |metrics| metrics.frames_given);
+        // Results of earlier versions did not count them.
+        Ok(Some(stamps).filter(|stamps| counted == 0 || counted == stamps.len()))
     }
 
     /// Ground truth of one of [`frames`](Self::frames).

@@ -29,6 +29,8 @@ pub(super) struct TrajectoryErrors {
     /// Errors of the poses as they were known when their frames came.
     #[serde(flatten)]
     online: Option<OnlineErrors>,
+    /// Poses of the trajectory, those without a true one among them.
+    estimated_poses: usize,
     /// Frames of the run that have a true pose and no estimated one; `None` where the frames of the
     /// run are not known.
     frames_without_pose: Option<usize>,
@@ -71,7 +73,8 @@ pub(super) fn evaluate(
     let aligned = &absolute.aligned_estimate;
     let relative = relative_pose_error(aligned, truth, arguments.rpe, DEFAULT_TOLERANCE)?;
     let online = online_errors(estimate, truth, alignment)?;
-    Ok(TrajectoryErrors { absolute, relative, online, frames_without_pose })
+    let estimated_poses = poses.len();
+    Ok(TrajectoryErrors { absolute, relative, online, estimated_poses, frames_without_pose })
 }
 
 /// `None` without a `trajectory_online.txt`, or where that has too few true poses to be aligned.
@@ -154,7 +157,11 @@ impl TrajectoryErrors {
             number,
             rest: rest.to_owned(),
         };
-        let mut rows = vec![row("poses", t.pairs.to_string(), &fit)];
+        let pairs = match self.estimated_poses {
+            all if all > t.pairs => format!(" of {all}, the others have no true pose{fit}"),
+            _ => fit,
+        };
+        let mut rows = vec![row("poses", t.pairs.to_string(), &pairs)];
         if let Some(missing) = self.frames_without_pose {
             rows.push(row("frames without a pose", missing.to_string(), ""));
         }
