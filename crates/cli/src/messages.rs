@@ -85,6 +85,17 @@ pub(super) fn input_lines(sequence: &Sequence) -> Vec<String> {
     lines
 }
 
+/// The frame rate assumed of pictures without time stamps.
+pub(super) fn assumed_rate_line(sequence: &Sequence) -> Option<String> {
+    sequence.are_times_assumed.then(|| {
+        format!(
+            "no time stamps: frames of a video are taken as {:.0} a second (`fps` in a camera.json \
+             beside them)",
+            sequence.frame_rate
+        )
+    })
+}
+
 /// An estimated focal length [px] with its horizontal field of view [degrees] and relative standard
 /// deviation, beside the assumed focal length [px].
 fn focal_length_line((found, view): (f64, f64), deviation: Option<f64>, assumed: f64) -> String {

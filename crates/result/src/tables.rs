@@ -110,13 +110,9 @@ pub(crate) fn frames(frames: &[FrameEstimate], files: &FrameFiles) -> String {
     text.push('\n');
     for frame in frames {
         let [log_exposure, red, green, blue] = frame.tone.to_array().map(f64::from);
-        let [image, depth, trajectory, blur] = [
-            frame.losses.image,
-            frame.losses.depth,
-            frame.losses.trajectory,
-            frame.blur_length,
-        ]
-        .map(|value| optional(frame.refined.then_some(value)));
+        let [image, depth, trajectory, blur] =
+            [frame.losses.image, frame.losses.depth, frame.losses.trajectory, frame.blur_length]
+                .map(|value| optional(frame.refined.then_some(value)));
         let [x, y, z, rx, ry, rz] = frame.depth_offset.to_array();
         let convergence = frame.convergence;
         let [position, rotation] =

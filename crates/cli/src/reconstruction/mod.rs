@@ -140,6 +140,7 @@ fn reconstruct_into(
     if let PoseSource::FrontEnd { with_depth: false, .. } = job.options.poses {
         messages::input_lines(sequence).iter().for_each(|line| progress.note(line));
     }
+    messages::assumed_rate_line(sequence).iter().for_each(|line| progress.note(line));
     let failure = |error: RunError| {
         if let RunError::Cancelled { .. } = error {
             // An interrupt has an exit code alone.

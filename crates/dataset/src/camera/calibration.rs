@@ -94,6 +94,13 @@ impl Calibration {
         Self { field_of_view: Some(view), ..found }
     }
 
+    /// A usual field of view, where the camera is not known.
+    pub(crate) fn assumed(defaults: FormatDefaults) -> Self {
+        let view = FieldOfView::ASSUMED;
+        let found = Self::from_view(view, format!("a guess, {view}"), defaults);
+        Self { is_guess: true, ..found }
+    }
+
     /// Replaces camera and lens by estimated ones.
     pub(crate) fn replaced_by(self, camera: &EstimatedCamera) -> Self {
         let [fx, fy, cx, cy] = camera.intrinsics;

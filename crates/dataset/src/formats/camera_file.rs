@@ -22,6 +22,8 @@ const LENS_MODELS: [&str; 8] = [
     "none",
 ];
 
+const EXPECTED_JSON: &str = "expected JSON with the numbers fx, fy, cx, cy, width, height";
+
 /// Reads a camera file of any known kind: `camera.json`, nerfstudio's
 /// `transforms.json`, COLMAP's `cameras.txt` or `cameras.bin`, or a line `fx fy cx cy`.
 pub(crate) fn read_camera(
@@ -84,19 +86,21 @@ fn parse_json(
     defaults: FormatDefaults,
 ) -> Result<Calibration, DatasetError> {
     let refuse = |reason: String| DatasetError::file(path, reason);
-    let expected = "expected JSON with the numbers fx, fy, cx, cy, width, height";
     let file: CameraFile =
-        serde_json::from_str(text).map_err(|e| refuse(format!("{e}; {expected}")))?;
+        serde_json::from_str(text).map_err(|e| refuse(format!("{e}; {EXPECTED_JSON}")))?;
     file.check(path)?;
     let expected = "distortion: expected 4, 5 or 8 numbers k1 k2 p1 p2 [k3 [k4 k5 k6]]";
     let distortion = Distortion::from_opencv(&file.distortion);
     let distortion = distortion.ok_or_else(|| refuse(expected.into()))?;
     // Pixel centres at integers, as the constructor expects them.
     let shift = file.pixel_centre();
-    let k = [file.fx, file.fy, file.cx - shift, file.cy - shift];
     let depth_scale = file.depth_scale.unwrap_or(defaults.depth_scale);
     let format =
         FormatDefaults { depth_scale, frame_rate: file.fps.or(defaults.frame_rate), ..defaults };
+    let Some([fx, fy, cx, cy]) = file.intrinsics(path)? else {
+        return Ok(Calibration::assumed(format));
+    };
+    let k = [fx, fy, cx - shift, cy - shift];
     let found = Calibration::from_opencv(k, distortion, &path.display().to_string(), format);
     Ok(Calibration { size: file.width.zip(file.height), ..found })
 }
@@ -104,10 +108,10 @@ fn parse_json(
 /// Contents of `camera.json`; unknown keys are ignored.
 #[derive(Deserialize)]
 struct CameraFile {
-    fx: f64,
-    fy: f64,
-    cx: f64,
-    cy: f64,
+    fx: Option<f64>,
+    fy: Option<f64>,
+    cx: Option<f64>,
+    cy: Option<f64>,
     width: Option<usize>,
     height: Option<usize>,
     depth_scale: Option<f64>,
@@ -129,14 +133,26 @@ impl CameraFile {
         })
     }
 
+    /// `fx fy cx cy` [px]; `None` where the file gives no camera, but its frame rate or depth scale alone.
+    fn intrinsics(&self, path: &Path) -> Result<Option<[f64; 4]>, DatasetError> {
+        let named = [("fx", self.fx), ("fy", self.fy), ("cx", self.cx), ("cy", self.cy)];
+        let says_else = self.fps.is_some() || self.depth_scale.is_some();
+        if says_else && self.distortion.is_empty() && named.iter().all(|(_, value)| value.is_none())
+        {
+            return Ok(None);
+        }
+        if let Some((missing, _)) = named.iter().find(|(_, value)| value.is_none()) {
+            let reason = format!("missing field `{missing}`; {EXPECTED_JSON}");
+            return Err(DatasetError::file(path, reason));
+        }
+        Ok(Some(named.map(|(_, value)| value.unwrap_or_default())))
+    }
+
     fn check(&self, path: &Path) -> Result<(), DatasetError> {
         let refuse = |reason: String| Err(DatasetError::file(path, reason));
-        for (name, value) in [
-            ("fx", Some(self.fx)),
-            ("fy", Some(self.fy)),
-            ("depth_scale", self.depth_scale),
-            ("fps", self.fps),
-        ] {
+        for (name, value) in
+            [("fx", self.fx), ("fy", self.fy), ("depth_scale", self.depth_scale), ("fps", self.fps)]
+        {
             if let Some(value) = value.filter(|&v| !(v.is_finite() && v > 0.0)) {
                 return refuse(format!("{name} is {value}, expected a positive number"));
             }

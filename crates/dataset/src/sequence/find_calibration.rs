@@ -4,6 +4,7 @@ use crate::camera::{Calibration, Distortion, FieldOfView, FormatDefaults};
 use crate::formats::{DetectedLayout, published_calibration, read_camera};
 use crate::text::is_present;
 use crate::{DatasetError, OpenOptions};
+use i2slam_storage::Manifest;
 use std::path::Path;
 
 /// Finds the calibration, in this order: flags, the camera file of the options, the folder's
@@ -26,7 +27,7 @@ pub(super) fn find_calibration(
     } else if layout.is_video() {
         // A camera.json in the folder of a video need not belong to it.
         assumed_calibration(folder, options, defaults)?
-    } else if is_present(&beside) {
+    } else if is_present(&beside) && !is_result(folder) {
         read_camera(&beside, defaults)?
     } else {
         match layout.calibration()?.or_else(|| published_calibration(folder)) {
@@ -34,6 +35,11 @@ pub(super) fn find_calibration(
             None => assumed_calibration(folder, options, defaults)?,
         }
     };
+    if found.is_guess && !options.guess_camera {
+        let file = options.camera.as_deref().unwrap_or(&beside);
+        let reason = "has no fx, fy, cx, cy, the camera's focal lengths and centre in pixels";
+        return Err(DatasetError::file(file, reason));
+    }
     if let Some(scale) = options.depth_scale {
         found.format.depth_scale = scale;
     }
@@ -41,6 +47,11 @@ pub(super) fn find_calibration(
         found = found.replaced_by(camera);
     }
     Ok(found)
+}
+
+/// Whether a result was written into the folder: its `camera.json` is that of its map.
+fn is_result(folder: &Path) -> bool {
+    Manifest::of(folder).is_some_and(|manifest| manifest.command == "i2slam run")
 }
 
 /// A usual field of view, if the options allow a guess.
@@ -53,7 +64,5 @@ fn assumed_calibration(
         let causes = DetectedLayout::unused_files(folder);
         return Err(DatasetError::NoCamera { folder: folder.to_path_buf(), causes });
     }
-    let view = FieldOfView::ASSUMED;
-    let found = Calibration::from_view(view, format!("a guess, {view}"), defaults);
-    Ok(Calibration { is_guess: true, ..found })
+    Ok(Calibration::assumed(defaults))
 }

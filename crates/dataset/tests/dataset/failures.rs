@@ -34,6 +34,7 @@ fn unusable_files_are_named() {
     for (name, text, parts) in [
         ("camera.json", "{".into(), &["camera.json", "expected JSON"][..]),
         ("camera.json", r#"{"fx":1,"fy":1,"cx":1}"#.into(), &["missing field `cy`"]),
+        ("camera.json", r#"{"fps":24}"#.into(), &["camera.json", "has no fx, fy, cx, cy"]),
         ("camera.json", r#"{"fx":-1,"fy":1,"cx":1,"cy":1}"#.into(), &["fx is -1", "positive"]),
         ("camera.json", camera(r#""distortion":[1,2]"#), &["k1 k2 p1 p2"]),
         ("camera.json", camera(r#""pixel_centre":1"#), &["0 or 0.5"]),

@@ -3,7 +3,9 @@
 use crate::support::{Folder, assert_says, assert_warns, jpeg};
 use i2slam_dataset::{DatasetError, OpenOptions, Sequence};
 use i2slam_geometry::Camera;
+use i2slam_storage::{Claim, OutputFolder};
 use jpeg_encoder::{ColorType, Encoder};
+use std::fs;
 
 /// EXIF data with one number of 16 bits, little-endian.
 fn exif(tag: u16, value: u16) -> Vec<u8> {
@@ -55,6 +57,31 @@ fn open(folder: &Folder, options: &OpenOptions) -> Sequence {
 #[track_caller]
 fn close(found: f64, due: f64) {
     assert!((found - due).abs() < 1e-3 * due, "{found}, not {due}");
+}
+
+#[test]
+fn a_camera_file_may_give_the_frame_rate_alone() {
+    let folder = pictures(None);
+    assert!(open(&folder, &alone()).are_times_assumed);
+    folder.write("camera.json", r#"{"fps": 24}"#);
+    let sequence = open(&folder, &alone());
+    assert!(sequence.camera_is_guess && !sequence.are_times_assumed);
+    close(sequence.frame_rate, 24.0);
+    close(sequence.camera.fx, 32.0 / 30.0_f64.to_radians().tan());
+}
+
+#[test]
+fn a_result_beside_pictures_does_not_give_their_camera() {
+    let folder = pictures(None);
+    let camera = r#"{"fx": 50, "fy": 50, "cx": 32, "cy": 24}"#;
+    folder.write("camera.json", camera);
+    assert!(!open(&folder, &alone()).camera_is_guess);
+    fs::remove_file(folder.join("camera.json")).expect("removes");
+    let claim = Claim { command: "i2slam run", names: &["camera.json"], overwrite: true };
+    let mut out = OutputFolder::replace(&folder.0, claim).expect("a folder");
+    out.write("camera.json", |file| file.write_all(camera.as_bytes())).expect("room");
+    out.commit().expect("room");
+    assert!(open(&folder, &alone()).camera_is_guess);
 }
 
 #[test]

@@ -177,7 +177,8 @@ fn align_exposure(estimate: &[(f64, f64)], truth: &[(usize, f64)]) -> Points {
 fn white_balance(frames: &[FrameEstimate]) -> Plot {
     let found_frames = || frames.iter().filter(|frame| has_tone(frame));
     let balance = |frame: &FrameEstimate| frame.tone.log_white_balance;
-    let is_constant = found_frames().zip(found_frames().skip(1)).all(|(a, b)| balance(a) == balance(b));
+    let is_constant =
+        found_frames().zip(found_frames().skip(1)).all(|(a, b)| balance(a) == balance(b));
     let explanation = match is_constant {
         true => "Gain of each colour; it is the same in all frames.",
         false => "Gain of each colour; green is 1 where red and blue are free.",
@@ -247,8 +248,10 @@ pub(super) fn blur(report: &Report<'_>) -> String {
     let explanation = "Length of the streak that a point of the scene draws while the shutter is \
                        open (median over the picture).";
     let mut plot = over_frames("Blur", explanation, "blur [px]");
-    plot.series =
-        vec![Series::line("blur", "c1", points(frames, |f| refined(f, f.blur_length))).styled(Style::Area)];
+    plot.series = vec![
+        Series::line("blur", "c1", points(frames, |f| refined(f, f.blur_length)))
+            .styled(Style::Area),
+    ];
     plot.html()
 }
 
@@ -281,7 +284,8 @@ pub(super) fn statistics(report: &Report<'_>) -> String {
     let explanation = "Mean difference between predicted and taken picture when the pose was found \
                        (1 is black against white).";
     let mut image = over_frames("Picture loss", explanation, "difference");
-    image.series = vec![Series::line("picture", "c1", points(frames, |f| refined(f, f.losses.image)))];
+    image.series =
+        vec![Series::line("picture", "c1", points(frames, |f| refined(f, f.losses.image)))];
     let mut plots = vec![time, image];
     let config = &report.reconstruction.config;
     // Of colour alone there is no measured depth.

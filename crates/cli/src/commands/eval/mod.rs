@@ -214,7 +214,8 @@ fn evaluate_pictures(
 ) -> Result<(), Failure> {
     let wanted = frames::select(arguments, estimate, reference)?;
     if arguments.optimise_poses {
-        let drawn = pose_optimization::draw((estimate, reference), &wanted, arguments.machine.quiet)?;
+        let drawn =
+            pose_optimization::draw((estimate, reference), &wanted, arguments.machine.quiet)?;
         evaluation.corrections = Some(drawn);
     } else if let (Some(result), Some(_)) = (estimate.result(), &evaluation.trajectory)
         && estimate.renders("sharp", "png")?.is_empty()

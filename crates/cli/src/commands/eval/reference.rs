@@ -8,8 +8,8 @@ use crate::image_files::read_png;
 use i2slam::Config;
 use i2slam::dataset::{OpenOptions, Sequence};
 use i2slam::geometry::{Image, StampedPose};
-use i2slam_result::{RunInput, load_metrics};
 use i2slam_result::report::GroundTruthSource;
+use i2slam_result::{RunInput, load_metrics};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
