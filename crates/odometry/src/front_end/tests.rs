@@ -66,3 +66,24 @@ fn a_picture_that_repeats_one_held_out_is_no_keyframe() {
     assert!(keyframes.len() > 3, "{keyframes:?}");
     assert!(keyframes.iter().all(|frame| frame % 4 < 2), "{keyframes:?}");
 }
+
+#[test]
+fn a_camera_that_stands_still_is_told_from_one_that_sees_too_little() {
+    let camera = Camera { width: 160, height: 120, fx: 150.0, fy: 150.0, cx: 80.0, cy: 60.0 };
+    let wave = |i: f32, j: f32| (0.7 * i).sin() * (0.6 * j).cos() + (0.23 * i + 0.31 * j).sin();
+    let end = |contrast: f32| {
+        let mut front_end = FrontEnd::new(Intrinsics::Known(camera));
+        for number in 0..20 {
+            // A sensor's noise, so that no picture repeats the one before.
+            let noise = |i: usize, j: usize| ((7 * i + 3 * j + 5 * number) % 11) as f32 - 5.0;
+            let value = |i: usize, j: usize| {
+                0.5 + contrast * wave(i as f32, j as f32) + 2e-4 * noise(i, j)
+            };
+            let picture = Image::from_fn(160, 120, 1, |_, i, j| value(i, j));
+            front_end.push(&picture, number as f64, None).expect("a picture");
+        }
+        front_end.finish(Progress::default()).expect_err("no path")
+    };
+    assert!(matches!(end(0.15), OdometryError::StillCamera { motion } if motion < 0.5));
+    assert!(matches!(end(0.0), OdometryError::TooFewPoints));
+}

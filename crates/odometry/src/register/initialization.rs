@@ -146,8 +146,7 @@ fn candidate_pairs(state: &SfmState, places: Range<usize>) -> Vec<KeyframePair> 
             }
             let (rotation, rotation_residual) =
                 fit_rotation(state.camera.fx, &ray_pairs(&state.camera, &shared))?;
-            let length = |(a, b): &([f64; 2], [f64; 2])| (a[0] - b[0]).hypot(a[1] - b[1]);
-            let motion = median(&mut shared.iter().map(length).collect::<Vec<_>>())?;
+            let motion = median_motion(&shared)?;
             Some(KeyframePair {
                 first,
                 second,
@@ -175,15 +174,33 @@ fn reconstruct_pair(state: &mut SfmState, pair: &KeyframePair, view: RelativePos
     wide.count()
 }
 
+/// Median motion from the first keyframe to the last frame [px], as a camera that stands still makes
+/// one keyframe; `None` if they share too few points.
+fn motion_to_last_frame(state: &SfmState) -> Option<f64> {
+    let last = state.poses.len().checked_sub(1)?;
+    let shared = state.shared_positions(*state.tracks.keyframes.first()?, last);
+    (shared.len() >= MIN_SHARED).then(|| median_motion(&shared)).flatten()
+}
+
+/// Median distance between positions of the same points [px].
+fn median_motion(shared: &[([f64; 2], [f64; 2])]) -> Option<f64> {
+    let length = |(a, b): &([f64; 2], [f64; 2])| (a[0] - b[0]).hypot(a[1] - b[1]);
+    median(&mut shared.iter().map(length).collect::<Vec<_>>())
+}
+
 /// Reason why no pair has parallax.
 fn diagnose_failure(state: &SfmState, pairs: &[KeyframePair]) -> OdometryError {
     let most = |f: fn(&KeyframePair) -> f64| pairs.iter().map(f).fold(0.0, f64::max);
-    if pairs.is_empty() {
-        return OdometryError::TooFewPoints;
-    }
-    let motion = most(|p| p.motion);
+    let motion = match pairs.is_empty() {
+        true => motion_to_last_frame(state),
+        false => Some(most(|p| p.motion)),
+    };
+    let Some(motion) = motion else { return OdometryError::TooFewPoints };
     if motion < MAX_STILL_MOTION * state.camera.width as f64 {
         return OdometryError::StillCamera { motion };
+    }
+    if pairs.is_empty() {
+        return OdometryError::TooFewPoints;
     }
     OdometryError::RotationOnly { residual: most(|p| p.rotation_residual) }
 }
