@@ -261,7 +261,7 @@ pub(super) fn print_summary(
     registration.iter().for_each(|line| print(line));
     let memory = metrics.peak_memory_bytes.map(|bytes| format!(", {} MB", bytes / 1_000_000));
     print(&format!(
-        "{:.2} s per frame, {:.0} s in all{}",
+        "{:.2} s per frame, {:.0} s to the finished map{}",
         metrics.seconds_per_frame,
         metrics.seconds,
         memory.unwrap_or_default()

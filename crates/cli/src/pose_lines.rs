@@ -5,8 +5,8 @@ use crate::failure::Failure;
 use crate::output_file::check_folder;
 use i2slam::geometry::StampedPose;
 use i2slam_result::{UnitOfLength, online_trajectory, trajectory_line};
-use std::fs::OpenOptions;
-use std::io::{self, Write};
+use std::fs::{self, OpenOptions};
+use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
@@ -22,6 +22,8 @@ pub(crate) struct PoseLines {
     path: PathBuf,
     /// The first lines.
     head: String,
+    /// Whether poses of an earlier run are replaced.
+    overwrite: bool,
     /// Lines to be written, and the end of the thread that does; `None` before the first one.
     writer: Mutex<Option<(Sender<String>, Receiver<()>)>>,
 }
@@ -29,23 +31,32 @@ pub(crate) struct PoseLines {
 impl PoseLines {
     /// Checks the name of a file; `-` is the standard output, where results then go to standard error.
     /// It is opened with the first pose, so that a run that is refused leaves nothing. A file that
-    /// exists is refused, and so is one in the dataset or among the results.
+    /// exists is refused, unless it has poses of an earlier run and may be replaced, and so is one in the
+    /// dataset or among the results.
     pub(crate) fn new(
         path: &Path,
         folders: [&Path; 2],
         unit: UnitOfLength,
+        overwrite: bool,
     ) -> Result<Self, Failure> {
         let refused = |why: &str| Err(Failure::Usage(format!("--poses {}: {why}", path.display())));
         if path != Path::new("-") {
-            if path.is_file() {
-                return refused("the file exists, choose another name");
+            match path.is_file().then(|| has_poses(path)) {
+                Some(true) if !overwrite => {
+                    return refused(
+                        "it has the poses of an earlier run: choose another name, or replace it with \
+                         --overwrite",
+                    );
+                }
+                Some(false) => return refused("the file exists, choose another name"),
+                _ => {}
             }
             if let Err(why) = check_folder(path, folders) {
                 return refused(why);
             }
         }
         let head = online_trajectory(&[], unit);
-        Ok(Self { path: path.to_owned(), head, writer: Mutex::default() })
+        Ok(Self { path: path.to_owned(), head, overwrite, writer: Mutex::default() })
     }
 
     /// True for `-`: poses go to the standard output, and results to standard error.
@@ -78,9 +89,9 @@ impl PoseLines {
 
     fn start(&self) -> (Sender<String>, Receiver<()>) {
         let ((lines, given), (ended, end)) = (channel(), channel());
-        let (path, head) = (self.path.clone(), self.head.clone());
+        let (path, head, overwrite) = (self.path.clone(), self.head.clone(), self.overwrite);
         thread::spawn(move || {
-            if let Err(error) = write_lines(&path, &head, &given) {
+            if let Err(error) = write_lines((&path, overwrite), &head, &given) {
                 let name = path.display();
                 print_status(&format!("warning: no more poses are written to {name}: {error}"));
             }
@@ -101,13 +112,31 @@ impl Drop for PoseLines {
     }
 }
 
+/// Whether a file begins as those with poses do.
+fn has_poses(path: &Path) -> bool {
+    let heads =
+        [UnitOfLength::Metre, UnitOfLength::Unknown].map(|unit| online_trajectory(&[], unit));
+    let longest = heads.iter().map(String::len).max().unwrap_or(0);
+    let mut start = String::new();
+    let read = i2slam_storage::open(path)
+        .and_then(|file| file.take(longest as u64).read_to_string(&mut start));
+    read.is_ok() && heads.iter().any(|head| start.starts_with(head))
+}
+
 /// Writes all lines, each at once. A named pipe waits for its reader.
-fn write_lines(path: &Path, head: &str, lines: &Receiver<String>) -> io::Result<()> {
+fn write_lines(
+    (path, overwrite): (&Path, bool),
+    head: &str,
+    lines: &Receiver<String>,
+) -> io::Result<()> {
     let mut out: Box<dyn Write> = if path == Path::new("-") {
         Box::new(io::stdout())
     } else {
         // A file that somebody has made since the name was checked is not overwritten.
         let is_pipe = path.exists() && !path.is_file();
+        if overwrite && path.is_file() && has_poses(path) {
+            fs::remove_file(path)?;
+        }
         Box::new(OpenOptions::new().write(true).create_new(!is_pipe).open(path)?)
     };
     out.write_all(head.as_bytes())?;
@@ -116,4 +145,33 @@ fn write_lines(path: &Path, head: &str, lines: &Receiver<String>) -> io::Result<
         out.flush()?;
     }
     out.flush()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use i2slam::geometry::Pose;
+    use i2slam_check::TemporaryFolder;
+
+    #[test]
+    fn poses_of_an_earlier_run_are_replaced_where_that_is_asked_for() {
+        let scratch = TemporaryFolder::new("pose-lines");
+        let path = scratch.join("poses.txt");
+        let no = Path::new("no");
+        let run = |timestamp: f64, overwrite| {
+            let lines = PoseLines::new(&path, [no, no], UnitOfLength::Metre, overwrite)?;
+            lines.add(&StampedPose { timestamp, world_from_camera: Pose::identity() });
+            Ok::<(), Failure>(())
+        };
+        let is_of = |stamp: &str| {
+            let text = fs::read_to_string(&path).expect("poses");
+            text.lines().filter(|line| !line.starts_with('#')).all(|line| line.starts_with(stamp))
+        };
+        run(1.5, false).expect("a new file");
+        assert!(run(2.5, false).is_err() && is_of("1.5"));
+        run(2.5, true).expect("an earlier one");
+        assert!(is_of("2.5"));
+        fs::write(&path, "2.5 of somebody else\n").expect("room");
+        assert!(run(3.5, true).is_err() && is_of("2.5"));
+    }
 }

@@ -280,7 +280,7 @@ fn pose_lines(arguments: &Run, options: &RunOptions) -> Result<Option<Arc<PoseLi
     };
     let out = arguments.out()?;
     let folders = [arguments.dataset.as_path(), out.as_path()];
-    Ok(Some(Arc::new(PoseLines::new(path, folders, unit)?)))
+    Ok(Some(Arc::new(PoseLines::new(path, folders, unit, arguments.overwrite)?)))
 }
 
 /// The recording, where one is asked for.

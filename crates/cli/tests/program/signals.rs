@@ -230,10 +230,14 @@ fn poses_are_written_while_frames_come() {
     assert_eq!(read(&file).lines().count(), read(&online).lines().count());
     // An earlier file is not lost.
     let kept = read(&file);
+    let mut again = footage.quick("other", Path::new("http://host/flow"), &flags);
+    Ran::of(&mut again).exits_with(2).stderr_contains("replace it with --overwrite");
+    assert_eq!(read(&file), kept);
+    fs::write(&file, "of somebody else\n").expect("room");
     let again = [&flags[..], &["--overwrite"]].concat();
     let mut again = footage.quick("live", Path::new("http://host/flow"), &again);
     Ran::of(&mut again).exits_with(2).stderr_contains("the file exists");
-    assert_eq!(read(&file), kept);
+    assert_eq!(read(&file), "of somebody else\n");
     let inside = footage.scratch.join("live/poses.txt");
     let flags = [&FLAGS[..], &["--poses", inside.to_str().expect("a name")]].concat();
     let mut inside = footage.quick("live", Path::new("http://host/flow"), &flags);

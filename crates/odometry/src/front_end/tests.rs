@@ -76,9 +76,8 @@ fn a_camera_that_stands_still_is_told_from_one_that_sees_too_little() {
         for number in 0..20 {
             // A sensor's noise, so that no picture repeats the one before.
             let noise = |i: usize, j: usize| ((7 * i + 3 * j + 5 * number) % 11) as f32 - 5.0;
-            let value = |i: usize, j: usize| {
-                0.5 + contrast * wave(i as f32, j as f32) + 2e-4 * noise(i, j)
-            };
+            let value =
+                |i: usize, j: usize| 0.5 + contrast * wave(i as f32, j as f32) + 2e-4 * noise(i, j);
             let picture = Image::from_fn(160, 120, 1, |_, i, j| value(i, j));
             front_end.push(&picture, number as f64, None).expect("a picture");
         }

@@ -116,7 +116,7 @@ fn warning_items(warnings: &[Warning]) -> String {
 }
 
 /// Files of a result with their contents.
-const FILES: [(&str, &str); 16] = [
+const FILES: [(&str, &str); 17] = [
     ("trajectory.txt", "Camera path, TUM format, world from camera, mid-exposure"),
     ("trajectory_online.txt", "Camera path as it was known when the frames came"),
     ("trajectory_shutter.txt", "Poses at shutter open and close"),
@@ -133,6 +133,7 @@ const FILES: [(&str, &str); 16] = [
     ("renders/blurred", "What formation predicts for the pictures taken"),
     ("renders/hdr", "Linear radiance (OpenEXR)"),
     ("renders/depth", "Depth, 16 bit, 5000 = 1 m"),
+    ("renders/opacity", "White where the map was seen, black where it shows nothing"),
     ("config.toml", "All settings, for <code>--config</code>"),
     ("input.json", "The dataset, and how it was read"),
     (

@@ -275,7 +275,11 @@ fn depth_loss(config: &Config) -> (&'static str, &'static str) {
 /// Time, losses and map size over the frames.
 pub(super) fn statistics(report: &Report<'_>) -> String {
     let frames = &report.reconstruction.frames;
-    let mut time = over_frames("Time", "Seconds of work on each frame.", "time [s]");
+    let mut time = over_frames(
+        "Time",
+        "Seconds of tracking and mapping when a frame came. Refinement of all frames together is not in it.",
+        "time [s]",
+    );
     let total = |f: &FrameEstimate| f.tracking_seconds + f.mapping_seconds;
     time.series = vec![
         Series::line("tracking and mapping", "c2", points(frames, total)).styled(Style::Area),
