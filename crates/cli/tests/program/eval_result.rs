@@ -183,7 +183,9 @@ fn frames_that_nobody_names_are_told() {
 fn a_run_too_short_for_a_trajectory_has_pictures_still() {
     let room = Room::reconstructed("short", frames(2), &[]);
     let ran = room.eval(&[]).exits_with(0);
-    assert!(ran.out.contains("sharp PSNR") && !ran.out.contains("ATE"), "{}", ran.out);
+    // Against the pictures taken, which are blurred as well.
+    assert!(ran.out.contains("PSNR") && !ran.out.contains("sharp"), "{}", ran.out);
+    assert!(!ran.out.contains("ATE"), "{}", ran.out);
     ran.stderr_contains("note: trajectory: too few pairs of poses: 2, at least 3 needed");
     let truth = room.data.join("groundtruth.txt");
     let asked = i2slam!("eval", room.out, "--groundtruth", truth).exits_with(1);
