@@ -2,6 +2,7 @@
 
 mod anchors;
 mod density_control;
+mod detail_evidence;
 mod flat_gaussians;
 mod merge;
 mod optimizer;
@@ -26,6 +27,7 @@ use density_control::{
     SourceFrame, SurfaceVotes, max_scale, open_pixels, outside_surface, prune, push_balls,
     unexplained_pixels,
 };
+use detail_evidence::DetailEvidence;
 use flat_gaussians::{partition, push_flat_gaussians};
 use i2slam_formation::{CameraResponse, CentreVelocity, Formation, ResponseCurve, TrajectoryScale};
 use i2slam_geometry::{Camera, Image, Pose};
@@ -141,8 +143,27 @@ impl GaussianMapper {
         objective.predict(map, &variables).clone()
     }
 
+    /// The evidence of all keyframes for detail within the Gaussians.
+    fn detail_evidence(&mut self, context: &MappingContext<'_>) -> DetailEvidence {
+        let mut evidence = DetailEvidence::new(&self.current.map, &self.scale_bounds);
+        let parts = evidence.map_in_parts(&self.current.map);
+        let whole = std::mem::replace(&mut self.current.map, parts);
+        for keyframe in context.keyframes {
+            let observation = keyframe.observation.get();
+            let view = (keyframe, &*observation);
+            evidence.add(self.optimizer.gradient(context, &mut self.current, view));
+        }
+        self.current.map = whole;
+        evidence
+    }
+
     /// Splits flat Gaussians that are larger than a keyframe asks for where it is not predicted.
-    fn split(&mut self, context: &MappingContext<'_>, keyframe: &Keyframe) {
+    fn split(
+        &mut self,
+        context: &MappingContext<'_>,
+        keyframe: &Keyframe,
+        evidence: &mut DetailEvidence,
+    ) {
         let render = self.render_at_depth(context, keyframe);
         let (observation, curve) = (keyframe.observation.get(), response_curve(context, keyframe));
         let prediction = self.predict(context, (keyframe, &observation), curve.as_ref());
@@ -150,7 +171,8 @@ impl GaussianMapper {
         let (map, bounds) = (&mut self.current.map, &mut self.scale_bounds);
         source.surface(&render).lower_bounds(map, bounds);
         let views = (&render, &prediction);
-        let origins = split_gaussians(map, bounds, &source, views, &partition(&source));
+        let origins = split_gaussians(map, bounds, &source, views, &partition(&source), evidence);
+        evidence.inherit(&origins);
         self.anchors.inherit(&origins);
     }
 
@@ -331,7 +353,10 @@ impl Mapper for GaussianMapper {
     ) -> bool {
         let splits = 3 * steps.start < 2 * total;
         if splits && self.current.map.shape == Shape::Anisotropic {
-            context.keyframes.iter().for_each(|keyframe| self.split(context, keyframe));
+            let mut evidence = self.detail_evidence(context);
+            for keyframe in context.keyframes {
+                self.split(context, keyframe, &mut evidence);
+            }
             self.enforce_capacity(context);
             if context.config.map.view_dependent && steps.start > 0 {
                 self.add_view_colours(context);

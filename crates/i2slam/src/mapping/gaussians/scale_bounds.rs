@@ -36,6 +36,11 @@ impl ScaleBounds {
         *least = least.min((MIN_DEVIATION * pixel).ln());
     }
 
+    /// A standard deviation in pixels of the nearest keyframe that saw the Gaussian.
+    pub(super) fn in_pixels(&self, index: usize, log_scale: f32) -> f32 {
+        MIN_DEVIATION * (log_scale - self.0[index].least).exp()
+    }
+
     /// Adds those of a part of a Gaussian, whose deviation along an axis is a share of the whole's; the
     /// whole becomes a part likewise.
     pub(super) fn split(&mut self, index: usize, axis: usize, share: f32) {

@@ -3,9 +3,11 @@
 //! A pixel is wrong where its prediction, blur and tone included, is off by more than noise, and by more
 //! than a shift by half a pixel explains: poses err by that much. There the
 //! [rectangles](super::partition) of the picture tell how small Gaussians should be; a blurred picture
-//! has large ones and asks for little.
+//! has large ones and asks for little. A Gaussian is split where [keyframes agree](super::detail_evidence)
+//! that it covers detail.
 
 use super::density_control::{SourceFrame, radiance_of_point};
+use super::detail_evidence::DetailEvidence;
 use super::flat_gaussians::EDGE_DEVIATION;
 use super::partition::Partition;
 use super::scale_bounds::ScaleBounds;
@@ -16,14 +18,17 @@ use i2slam_radiance::Render;
 use i2slam_radiance::gaussian::GaussianMap;
 
 /// Prediction error above which a pixel is wrong, in deviations up to which a rectangle counts as plain.
-const MAX_ERROR: f32 = 4.0;
+/// Noise exceeds it, but in one keyframe alone.
+const MAX_ERROR: f32 = 2.0;
 /// Shift of the picture that explains an error [px].
 const MAX_SHIFT: f32 = 0.5;
 /// Deviation over that of a Gaussian of the size asked for, from which on one is split.
 const MAX_SIZE_RATIO: f32 = 2.4;
+/// Least deviation of a Gaussian that is split [px]: no edge is shorter than a pixel.
+pub(super) const MIN_SPLIT_DEVIATION: f32 = MAX_SIZE_RATIO * EDGE_DEVIATION as f32;
 /// Deviation of the halves along the axis that is split, and their distance from the middle, in
 /// deviations of the whole.
-const HALF: f32 = 0.6;
+pub(super) const HALF: f32 = 0.6;
 /// Most times that what came from one Gaussian is split by one frame.
 const MAX_GENERATIONS: usize = 4;
 /// Levels of [`Demand`].
@@ -91,13 +96,14 @@ fn wrong_pixels(colour: &Image<f32>, prediction: &Image<f32>, limit: f32) -> Vec
 }
 
 /// Splits the Gaussians on the rendered surface that are larger than the picture asks for where it
-/// differs from its prediction. Returns the index of the one that each appended Gaussian came from.
+/// differs from its prediction, and that the evidence says cover detail. Returns the index of the one that each appended Gaussian came from.
 pub(super) fn split_gaussians(
     map: &mut GaussianMap,
     bounds: &mut ScaleBounds,
     source: &SourceFrame<'_>,
     (render, prediction): (&Render, &Image<f32>),
     partition: &Partition<'_>,
+    evidence: &DetailEvidence,
 ) -> Vec<usize> {
     let splitter = Splitter {
         demand: Demand::new(&source.observation.colour, prediction, partition),
@@ -108,7 +114,8 @@ pub(super) fn split_gaussians(
     for origin in 0..map.len() {
         let mut waiting = vec![(origin, 0)];
         while let Some((index, generation)) = waiting.pop() {
-            if let Some(axis) = splitter.axis_to_split(map, index) {
+            let axis = splitter.axis_to_split(map, index);
+            if let Some(axis) = axis.filter(|axis| evidence.supports(origin, *axis)) {
                 splitter.split(map, bounds, index, axis);
                 origins.push(origin);
                 if generation + 1 < MAX_GENERATIONS {
@@ -183,7 +190,7 @@ impl Splitter<'_> {
 }
 
 /// Axes of a Gaussian in the world: columns.
-fn axes(rotation: [f32; 4]) -> Mat3<f64> {
+pub(super) fn axes(rotation: [f32; 4]) -> Mat3<f64> {
     let [w, x, y, z] = rotation.map(f64::from);
     Rotation::from_wxyz(w, x, y, z).unwrap_or_else(Rotation::identity).matrix()
 }
@@ -252,12 +259,14 @@ mod tests {
             tone: None,
         };
         let partition = super::super::flat_gaussians::partition(&source);
+        let evidence = DetailEvidence::new(&map, &bounds);
         let origins = split_gaussians(
             &mut map,
             &mut bounds,
             &source,
             (&render, &render.radiance),
             &partition,
+            &evidence,
         );
         (map, origins)
     }
