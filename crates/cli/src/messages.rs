@@ -89,8 +89,8 @@ pub(super) fn input_lines(sequence: &Sequence) -> Vec<String> {
 pub(super) fn assumed_rate_line(sequence: &Sequence) -> Option<String> {
     sequence.are_times_assumed.then(|| {
         format!(
-            "no time stamps: frames of a video are taken as {:.0} a second (`fps` in a camera.json \
-             beside them)",
+            "the pictures have no time stamps: taken as {:.0} a second; {{\"fps\": N}} in a camera.json \
+             beside them gives another rate",
             sequence.frame_rate
         )
     })

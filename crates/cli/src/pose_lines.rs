@@ -22,7 +22,7 @@ pub(crate) struct PoseLines {
     path: PathBuf,
     /// The first lines.
     head: String,
-    /// Whether poses of an earlier run are replaced.
+    /// Whether poses of an earlier run make room.
     overwrite: bool,
     /// Lines to be written, and the end of the thread that does; `None` before the first one.
     writer: Mutex<Option<(Sender<String>, Receiver<()>)>>,
@@ -44,8 +44,8 @@ impl PoseLines {
             match path.is_file().then(|| has_poses(path)) {
                 Some(true) if !overwrite => {
                     return refused(
-                        "it has the poses of an earlier run: choose another name, or replace it with \
-                         --overwrite",
+                        "it has the poses of an earlier run: choose another name, or move them to \
+                         FILE.previous with --overwrite",
                     );
                 }
                 Some(false) => return refused("the file exists, choose another name"),
@@ -112,6 +112,13 @@ impl Drop for PoseLines {
     }
 }
 
+/// The name that poses of an earlier run get where new ones take theirs.
+fn previous(path: &Path) -> PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push(".previous");
+    name.into()
+}
+
 /// Whether a file begins as those with poses do.
 fn has_poses(path: &Path) -> bool {
     let heads =
@@ -135,7 +142,7 @@ fn write_lines(
         // A file that somebody has made since the name was checked is not overwritten.
         let is_pipe = path.exists() && !path.is_file();
         if overwrite && path.is_file() && has_poses(path) {
-            fs::remove_file(path)?;
+            fs::rename(path, previous(path))?;
         }
         Box::new(OpenOptions::new().write(true).create_new(!is_pipe).open(path)?)
     };
@@ -154,7 +161,7 @@ mod tests {
     use i2slam_check::TemporaryFolder;
 
     #[test]
-    fn poses_of_an_earlier_run_are_replaced_where_that_is_asked_for() {
+    fn poses_of_an_earlier_run_make_room_where_that_is_asked_for() {
         let scratch = TemporaryFolder::new("pose-lines");
         let path = scratch.join("poses.txt");
         let no = Path::new("no");
@@ -165,13 +172,16 @@ mod tests {
         };
         let is_of = |stamp: &str| {
             let text = fs::read_to_string(&path).expect("poses");
-            text.lines().filter(|line| !line.starts_with('#')).all(|line| line.starts_with(stamp))
+            let poses = text.lines().filter(|line| !line.starts_with('#'));
+            poses.map(|line| line.starts_with(stamp)).collect::<Vec<bool>>() == [true]
         };
         run(1.5, false).expect("a new file");
         assert!(run(2.5, false).is_err() && is_of("1.5"));
         run(2.5, true).expect("an earlier one");
         assert!(is_of("2.5"));
+        let earlier = fs::read_to_string(previous(&path)).expect("the earlier one");
+        assert!(earlier.lines().any(|line| line.starts_with("1.5")));
         fs::write(&path, "2.5 of somebody else\n").expect("room");
-        assert!(run(3.5, true).is_err() && is_of("2.5"));
+        assert!(run(3.5, true).is_err() && is_of("2.5 of somebody else"));
     }
 }

@@ -231,7 +231,7 @@ fn poses_are_written_while_frames_come() {
     // An earlier file is not lost.
     let kept = read(&file);
     let mut again = footage.quick("other", Path::new("http://host/flow"), &flags);
-    Ran::of(&mut again).exits_with(2).stderr_contains("replace it with --overwrite");
+    Ran::of(&mut again).exits_with(2).stderr_contains("FILE.previous with --overwrite");
     assert_eq!(read(&file), kept);
     fs::write(&file, "of somebody else\n").expect("room");
     let again = [&flags[..], &["--overwrite"]].concat();

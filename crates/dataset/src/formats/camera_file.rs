@@ -8,6 +8,8 @@ use crate::image::check_pixels;
 use crate::text::{data_lines, parse_number, read_text};
 use i2slam_geometry::Camera;
 use serde::Deserialize;
+use serde::de::IgnoredAny;
+use std::collections::BTreeMap;
 use std::path::Path;
 
 /// Names of the Brown-Conrady lens model.
@@ -97,7 +99,7 @@ fn parse_json(
     let depth_scale = file.depth_scale.unwrap_or(defaults.depth_scale);
     let format =
         FormatDefaults { depth_scale, frame_rate: file.fps.or(defaults.frame_rate), ..defaults };
-    let Some([fx, fy, cx, cy]) = file.intrinsics(path)? else {
+    let Some([fx, fy, cx, cy]) = file.intrinsics(path, text)? else {
         return Ok(Calibration::assumed(format));
     };
     let k = [fx, fy, cx - shift, cy - shift];
@@ -133,14 +135,14 @@ impl CameraFile {
         })
     }
 
-    /// `fx fy cx cy` [px]; `None` where the file gives no camera, but its frame rate or depth scale alone.
-    fn intrinsics(&self, path: &Path) -> Result<Option<[f64; 4]>, DatasetError> {
-        let named = [("fx", self.fx), ("fy", self.fy), ("cx", self.cx), ("cy", self.cy)];
-        let says_else = self.fps.is_some() || self.depth_scale.is_some();
-        if says_else && self.distortion.is_empty() && named.iter().all(|(_, value)| value.is_none())
-        {
+    /// `fx fy cx cy` [px]; `None` where the text gives a frame rate or depth scale and nothing else.
+    fn intrinsics(&self, path: &Path, text: &str) -> Result<Option<[f64; 4]>, DatasetError> {
+        let keys: BTreeMap<String, IgnoredAny> = serde_json::from_str(text).unwrap_or_default();
+        let is_rate = |key: &String| ["fps", "depth_scale"].contains(&key.as_str());
+        if !keys.is_empty() && keys.keys().all(is_rate) {
             return Ok(None);
         }
+        let named = [("fx", self.fx), ("fy", self.fy), ("cx", self.cx), ("cy", self.cy)];
         if let Some((missing, _)) = named.iter().find(|(_, value)| value.is_none()) {
             let reason = format!("missing field `{missing}`; {EXPECTED_JSON}");
             return Err(DatasetError::file(path, reason));

@@ -27,12 +27,20 @@ pub(super) fn find_calibration(
     } else if layout.is_video() {
         // A camera.json in the folder of a video need not belong to it.
         assumed_calibration(folder, options, defaults)?
-    } else if is_present(&beside) && !is_result(folder) {
-        read_camera(&beside, defaults)?
     } else {
-        match layout.calibration()?.or_else(|| published_calibration(folder)) {
-            Some(found) => found,
-            None => assumed_calibration(folder, options, defaults)?,
+        let given = is_present(&beside) && !is_of_result(folder);
+        let given = given.then(|| read_camera(&beside, defaults)).transpose()?;
+        match given {
+            Some(found) if !found.is_guess => found,
+            // It gives a frame rate or the scale of depth alone.
+            Some(rates) => match known_calibration(folder, layout)? {
+                Some(found) => with_rates(found, rates.format, defaults),
+                None => rates,
+            },
+            None => match known_calibration(folder, layout)? {
+                Some(found) => found,
+                None => assumed_calibration(folder, options, defaults)?,
+            },
         }
     };
     if found.is_guess && !options.guess_camera {
@@ -49,9 +57,31 @@ pub(super) fn find_calibration(
     Ok(found)
 }
 
-/// Whether a result was written into the folder: its `camera.json` is that of its map.
-fn is_result(folder: &Path) -> bool {
-    Manifest::of(folder).is_some_and(|manifest| manifest.command == "i2slam run")
+/// That of the layout's own files, else of the folder's name.
+fn known_calibration(
+    folder: &Path,
+    layout: &DetectedLayout,
+) -> Result<Option<Calibration>, DatasetError> {
+    Ok(layout.calibration()?.or_else(|| published_calibration(folder)))
+}
+
+/// With the frame rate and the scale of depth that a file gives beside the `defaults`.
+fn with_rates(
+    mut found: Calibration,
+    given: FormatDefaults,
+    defaults: FormatDefaults,
+) -> Calibration {
+    found.format.frame_rate = given.frame_rate.or(found.format.frame_rate);
+    if given.depth_scale != defaults.depth_scale {
+        found.format.depth_scale = given.depth_scale;
+    }
+    found
+}
+
+/// Whether `camera.json` is part of a result that was written into the folder: it is that of its map.
+fn is_of_result(folder: &Path) -> bool {
+    let manifest = Manifest::of(folder).filter(|manifest| manifest.command == "i2slam run");
+    manifest.is_some_and(|manifest| manifest.files.contains_key("camera.json"))
 }
 
 /// A usual field of view, if the options allow a guess.

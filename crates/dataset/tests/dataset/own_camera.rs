@@ -68,6 +68,20 @@ fn a_camera_file_may_give_the_frame_rate_alone() {
     assert!(sequence.camera_is_guess && !sequence.are_times_assumed);
     close(sequence.frame_rate, 24.0);
     close(sequence.camera.fx, 32.0 / 30.0_f64.to_radians().tan());
+    // Of a camera under other names nothing is guessed.
+    folder.write("camera.json", r#"{"fps": 24, "fl_x": 50}"#);
+    assert_says(Sequence::open(&folder.0, &alone()), &["camera.json", "missing field `fx`"]);
+}
+
+#[test]
+fn a_frame_rate_leaves_the_camera_that_a_layout_knows() {
+    let folder = Folder::tum(2);
+    folder.write("camera.json", r#"{"fps": 24, "depth_scale": 1000}"#);
+    folder.write("calibration.txt", "14 14 7.5 5.5");
+    let sequence = open(&folder, &OpenOptions::default());
+    close(sequence.camera.fx, 14.0);
+    close(sequence.depth_scale, 1000.0);
+    assert!(!sequence.camera_is_guess);
 }
 
 #[test]

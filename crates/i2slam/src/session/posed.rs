@@ -268,7 +268,9 @@ impl Session {
         let (mapper, tracker, context) = self.mapping();
         let frame = (&mut estimate, &colour);
         let known = (previous.as_ref(), exposure_motion);
-        if !tracker.localize(mapper, &context, frame, known, context.frames) {
+        let is_found = tracker.localize(mapper, &context, frame, known, context.frames);
+        estimate.refined |= is_found;
+        if !is_found {
             let text = "not found in the map: its pose is that of the front end";
             self.state.warn(index, text);
         }
@@ -292,8 +294,7 @@ impl Session {
             return false;
         }
         self.source.get_or_insert_default().place_in_world(world_from_camera);
-        let mut estimate = self.unrefined_estimate(place, index, timestamp, world_from_camera);
-        estimate.refined = false;
+        let estimate = self.unrefined_estimate(place, index, timestamp, world_from_camera);
         self.insert(place, estimate);
         true
     }
@@ -315,6 +316,7 @@ impl Session {
         let pose = self.pose_near_keyframe(timestamp, world_from_camera);
         let mut estimate = FrameEstimate::at_pose(index, timestamp, ShutterPoses::still(pose));
         let named = &self.config.mapping.hold_out_frames;
+        estimate.refined = false;
         estimate.held_out = named.is_empty() || named.contains(&index);
         if let Some(near) = self.state.frames.get(place.saturating_sub(1)) {
             (estimate.tone, estimate.response) = (near.tone, near.response);

@@ -1,27 +1,29 @@
 //! Evidence that a Gaussian covers detail: keyframes agree that its two sides differ in colour.
 //!
 //! Each candidate is rendered as four parts, two along each of its long axes. Let `g_k` be the derivative
-//! of the loss of keyframe `k` by the contrast of its sides, three channels: by the colours of the parts on
-//! one side less that by those on the other. It has the same sign in all keyframes where the scene has
-//! detail, and either sign where noise, a pose that is off or a reflection differs from the prediction. With
-//! the mean `ḡ` over the `n` keyframes that see the Gaussian the ratio of variances
+//! of the loss of keyframe `k`, at the map in parts, by the contrast of two sides, three channels: by the
+//! colours of the parts on one side less that by those on the other. It has the same sign in all keyframes
+//! where the scene has detail, and either sign where noise, a pose that is off or a reflection differs from
+//! the prediction. With the mean `ḡ` over the `n` keyframes that see all parts the ratio of variances
 //!
 //! ```text
 //! F = n (n - 1) |ḡ|² / Σ_k |g_k - ḡ|²
 //! ```
 //!
-//! is 1 by chance.
+//! is about 1 by chance for many keyframes. Detail that is even about the middle, as a line along it, has no
+//! such contrast.
 
 use super::scale_bounds::ScaleBounds;
 use super::splitting::{HALF, MIN_SPLIT_DEVIATION, axes};
 use i2slam_radiance::gaussian::{GaussianMap, MapGradient};
 
-/// Ratio of variances from which keyframes agree.
+/// Ratio of variances from which keyframes agree. Chance exceeds it in one of 7 (two keyframes) to 135
+/// (many) where the channels err independently, in one of 3 to 22 where they err together.
 const MIN_F: f32 = 4.0;
 /// Parts of a candidate: bit `k` of a part is its side along long axis `k`.
 const PARTS: usize = 4;
 
-/// Sums over the keyframes that see a Gaussian, of derivatives by the contrast along one axis.
+/// Sums over the keyframes that see a Gaussian of derivatives by the contrast along one axis.
 #[derive(Clone, Copy, Default)]
 struct ContrastSums {
     keyframes: usize,
@@ -30,7 +32,11 @@ struct ContrastSums {
 }
 
 impl ContrastSums {
+    /// Adds a keyframe, unless its picture tells nothing there, as where it is clipped.
     fn add(&mut self, derivative: [f32; 3]) {
+        if derivative == [0.0; 3] {
+            return;
+        }
         self.keyframes += 1;
         for (sum, value) in self.derivative.iter_mut().zip(derivative) {
             *sum += value;
@@ -38,11 +44,14 @@ impl ContrastSums {
         }
     }
 
-    /// Whether keyframes agree; a single one cannot disagree.
+    /// Whether at least two keyframes agree.
     fn is_consistent(&self) -> bool {
+        if self.keyframes < 2 {
+            return false;
+        }
         let n = self.keyframes as f32;
-        let common = self.derivative.iter().map(|sum| sum * sum).sum::<f32>() / n.max(1.0);
-        self.keyframes < 2 || common * (n - 1.0) >= MIN_F * (self.squares - common)
+        let common = self.derivative.iter().map(|sum| sum * sum).sum::<f32>() / n;
+        common * (n - 1.0) >= MIN_F * (self.squares - common)
     }
 }
 
@@ -89,11 +98,13 @@ impl DetailEvidence {
         parts
     }
 
-    /// Adds a keyframe by the derivative of its loss by the [map in parts](Self::map_in_parts).
+    /// Adds a keyframe by the derivative of its loss by the [map in parts](Self::map_in_parts). Where it
+    /// sees some of the parts alone, their contrast is mixed with the error of the whole, and does not
+    /// count.
     pub(super) fn add(&mut self, gradient: &MapGradient) {
         let parts = gradient.colours.chunks(PARTS).zip(gradient.seen.chunks(PARTS));
         for (candidate, (colours, seen)) in self.candidates.iter_mut().zip(parts) {
-            if !seen.contains(&true) {
+            if seen.contains(&false) {
                 continue;
             }
             for (k, contrast) in candidate.contrasts.iter_mut().enumerate() {
@@ -104,14 +115,14 @@ impl DetailEvidence {
         }
     }
 
-    /// Whether nothing speaks against detail along an axis of a Gaussian.
+    /// Whether a Gaussian, or the whole that it came from, covers detail along an axis.
     pub(super) fn supports(&self, index: usize, axis: usize) -> bool {
         let candidate = self.places[index].map(|place| &self.candidates[place]);
         let along = |candidate: &Candidate| {
             let place = candidate.axes.iter().position(|known| *known == axis)?;
             Some(candidate.contrasts[place].is_consistent())
         };
-        candidate.and_then(along).unwrap_or(true)
+        candidate.and_then(along).unwrap_or(false)
     }
 
     /// Appends the halves that came from these Gaussians, with the evidence of the whole.
@@ -191,31 +202,57 @@ mod tests {
         assert_eq!(parts.log_scales[0][1], map.log_scales[0][1]);
     }
 
-    #[test]
-    fn keyframes_agree_on_detail_and_not_on_noise() {
-        // Sides along the longest axis, z, differ by about as much in all keyframes; along x by chance.
-        let noise = [0.3, -0.4, 0.2, -0.2, 0.3, -0.1];
-        let keyframes = noise.map(|x| [-1.0 - x, 1.0 - x, -0.8 + x, 0.8 + x]);
-        let evidence = evidence(&keyframes);
-        assert!(evidence.supports(0, 2) && !evidence.supports(0, 0));
+    /// Derivatives by the parts with such contrasts along x and z.
+    fn contrasts([x, z]: [f32; 2]) -> [f32; PARTS] {
+        [0, 1, 2, 3].map(|part| 0.25 * (side(part, 1) * x + side(part, 0) * z))
     }
 
     #[test]
-    fn nothing_speaks_against_what_one_keyframe_or_none_has_seen() {
-        let one = evidence(&[[1.0, -1.0, 0.5, -0.5]]);
-        let two = evidence(&[[1.0, 0.0, -1.0, 0.0], [-1.0, 0.0, 1.0, 0.0]]);
-        for index in [0, 1] {
-            assert!(
-                (0..3).all(|axis| one.supports(index, axis) && evidence(&[]).supports(index, axis))
-            );
+    fn keyframes_agree_on_detail_and_not_on_noise() {
+        // z is the longest axis, x the second.
+        let noise = [0.9_f32, -1.2, 0.7, -0.8, 1.1, -0.4];
+        let found = evidence(&noise.map(|v| contrasts([v, 2.0 + v])));
+        assert!(found.supports(0, 2) && !found.supports(0, 0) && !found.supports(0, 1));
+    }
+
+    #[test]
+    fn the_ratio_of_variances_decides() {
+        // Two keyframes g and r g have F = ((1 + r) / (1 - r))², 4 at r = 1/3.
+        for (r, agrees) in [(0.30, false), (0.36, true)] {
+            let found = evidence(&[contrasts([1.0, 1.0]), contrasts([r, r])]);
+            assert_eq!([0, 2].map(|axis| found.supports(0, axis)), [agrees; 2], "{r}");
         }
-        assert!(!two.supports(0, 0) && two.supports(1, 0));
+        // Six of 1 + e and 1 - e by turns have F = 5 / e², 4 at e = 1.118.
+        for (e, agrees) in [(1.10, true), (1.14, false)] {
+            let keyframes = [1.0, -1.0, 1.0, -1.0, 1.0, -1.0].map(|s| contrasts([1.0 + s * e; 2]));
+            assert_eq!(evidence(&keyframes).supports(0, 0), agrees, "{e}");
+        }
+    }
+
+    #[test]
+    fn it_takes_two_keyframes_that_see_all_parts() {
+        let see = contrasts([1.0, 1.0]);
+        assert!(evidence(&[see, see]).supports(0, 0));
+        assert!(!evidence(&[]).supports(0, 0) && !evidence(&[see]).supports(0, 0));
+        // A keyframe without a derivative is none, and one smaller than a pixel is not looked at.
+        let blank = [0.0; PARTS];
+        assert!(!evidence(&[see, blank]).supports(0, 0) && !evidence(&[blank; 3]).supports(0, 0));
+        assert!(
+            evidence(&[see, see, blank]).supports(0, 0) && !evidence(&[see, see]).supports(1, 0)
+        );
+        let (map, bounds) = map();
+        let mut cut = DetailEvidence::new(&map, &bounds);
+        let mut gradient = MapGradient::new(&cut.map_in_parts(&map));
+        gradient.colours[0] = [1.0; 3];
+        gradient.seen[..2].fill(true);
+        (0..2).for_each(|_| cut.add(&gradient));
+        assert!(!cut.supports(0, 0));
     }
 
     #[test]
     fn halves_have_the_evidence_of_the_whole() {
-        let mut two = evidence(&[[1.0, 0.0, -1.0, 0.0], [-1.0, 0.0, 1.0, 0.0]]);
-        two.inherit(&[1, 0]);
-        assert!(two.supports(2, 0) && !two.supports(3, 0));
+        let mut found = evidence(&[contrasts([1.0, 0.0]); 2]);
+        found.inherit(&[1, 0]);
+        assert!(!found.supports(2, 0) && found.supports(3, 0) && !found.supports(3, 2));
     }
 }

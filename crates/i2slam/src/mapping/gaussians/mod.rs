@@ -148,12 +148,14 @@ impl GaussianMapper {
         let mut evidence = DetailEvidence::new(&self.current.map, &self.scale_bounds);
         let parts = evidence.map_in_parts(&self.current.map);
         let whole = std::mem::replace(&mut self.current.map, parts);
-        for keyframe in context.keyframes {
+        let keyframes = context.keyframes.iter();
+        for keyframe in keyframes.take_while(|_| !context.cancellation.is_cancelled()) {
             let observation = keyframe.observation.get();
             let view = (keyframe, &*observation);
             evidence.add(self.optimizer.gradient(context, &mut self.current, view));
         }
         self.current.map = whole;
+        self.optimizer.release_gradient();
         evidence
     }
 

@@ -111,6 +111,11 @@ impl GaussianOptimizer {
         &self.gradient
     }
 
+    /// Returns the memory of a derivative by a map that was larger for a while.
+    pub(crate) fn release_gradient(&mut self) {
+        self.gradient = MapGradient::default();
+    }
+
     fn evaluate(
         &mut self,
         context: &MappingContext<'_>,

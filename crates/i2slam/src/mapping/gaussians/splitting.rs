@@ -202,7 +202,7 @@ mod tests {
     use i2slam_geometry::{Camera, Image, Pose, Tangent};
     use i2slam_radiance::RadianceMap;
     use i2slam_radiance::gaussian::{
-        ColourActivation, Gaussian, RasterSettings, Rasterizer, Shape, View,
+        ColourActivation, Gaussian, MapGradient, RasterSettings, Rasterizer, Shape, View,
     };
     use std::sync::Arc;
 
@@ -233,8 +233,17 @@ mod tests {
         (map, bounds)
     }
 
-    /// Splits by a picture of the wall; returns the map and the origins.
+    /// Splits by a picture of the wall on whose contrasts two keyframes agree; returns the map and the
+    /// origins.
     fn split_by(picture: impl Fn(usize, usize) -> f32) -> (GaussianMap, Vec<usize>) {
+        split_where([1.0, 1.0], picture)
+    }
+
+    /// Splits by a picture of the wall, whose contrasts are such in two keyframes.
+    fn split_where(
+        keyframes: [f32; 2],
+        picture: impl Fn(usize, usize) -> f32,
+    ) -> (GaussianMap, Vec<usize>) {
         let (mut map, mut bounds) = wall();
         let camera = camera();
         let view = View { camera: camera.cast(), world_from_camera: Pose::identity() };
@@ -259,7 +268,15 @@ mod tests {
             tone: None,
         };
         let partition = super::super::flat_gaussians::partition(&source);
-        let evidence = DetailEvidence::new(&map, &bounds);
+        let mut evidence = DetailEvidence::new(&map, &bounds);
+        let parts = evidence.map_in_parts(&map);
+        assert_eq!(parts.len(), 4 * map.len());
+        for contrast in keyframes {
+            let mut gradient = MapGradient::new(&parts);
+            gradient.seen.fill(true);
+            gradient.colours.iter_mut().step_by(4).for_each(|colour| *colour = [contrast; 3]);
+            evidence.add(&gradient);
+        }
         let origins = split_gaussians(
             &mut map,
             &mut bounds,
@@ -291,6 +308,13 @@ mod tests {
             !columns.is_empty() && columns.iter().all(|c| (c - 10.5).abs() < 1.5),
             "{columns:?}"
         );
+    }
+
+    #[test]
+    fn detail_on_which_keyframes_do_not_agree_splits_nothing() {
+        let line = |x: usize, _: usize| if (9..12).contains(&x) { 0.1 } else { 0.5 };
+        assert!(!split_where([1.0, 0.5], line).1.is_empty());
+        assert!(split_where([1.0, -0.5], line).1.is_empty());
     }
 
     #[test]
