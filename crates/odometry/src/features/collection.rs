@@ -3,7 +3,7 @@
 use super::aliked::Features;
 use super::matching::match_features;
 use super::rotation_averaging::{RelativeRotation, average_rotations};
-use super::verification::{MatchedPair, POSITION_SIGMA, match_pair};
+use super::verification::{MatchedPair, match_pair, position_sigma};
 use crate::progress::{Progress, Stage};
 use crate::track::pyramid::Pyramid;
 use crate::track::thumbnail::KeyframeImage;
@@ -189,7 +189,7 @@ impl PhotoCollection {
             [] => without_contradictions(features.len(), all),
             _ => consistent_with_poses(camera, (&features, &poses), all),
         };
-        let (tracks, track_of) = joined(&frames, &features, &matched);
+        let (tracks, track_of) = joined(&frames, &features, &matched, position_sigma(camera));
         let pair = |((a, b), pair): ((usize, usize), MatchedPair)| PhotographPair {
             first: frames[a],
             second: frames[b],
@@ -277,6 +277,7 @@ fn joined(
     frames: &[usize],
     features: &[&Features],
     matched: &[((usize, usize), MatchedPair)],
+    sigma: f64,
 ) -> (Vec<Track>, Vec<Vec<Option<usize>>>) {
     let mut first = vec![0; features.len() + 1];
     (0..features.len()).for_each(|view| first[view + 1] = first[view] + features[view].len());
@@ -300,7 +301,7 @@ fn joined(
     let mut tracks = Vec::new();
     for shown in points.into_values().filter(is_one_point) {
         let observe = |&(view, i): &(usize, usize)| {
-            Observation::new(frames[view], features[view].positions[i], POSITION_SIGMA)
+            Observation::new(frames[view], features[view].positions[i], sigma)
         };
         shown.iter().for_each(|&(view, i)| track_of[view][i] = Some(tracks.len()));
         tracks.push(Track { observations: shown.iter().map(observe).collect() });

@@ -6,4 +6,4 @@ mod matching;
 mod rotation_averaging;
 mod verification;
 
-pub(crate) use verification::{MAX_EPIPOLAR_DISTANCE, POSITION_SIGMA};
+pub(crate) use verification::{max_epipolar_distance, position_sigma};

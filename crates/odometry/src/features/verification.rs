@@ -1,7 +1,7 @@
 //! Geometric verification of the matches of two pictures: the relative pose that most agree on, and
 //! whether so many would by chance.
 
-use super::aliked::Features;
+use super::aliked::{Features, feature_pixel};
 use super::matching::{FeatureMatch, Matches, match_features};
 use crate::multiview::a_contrario::is_no_chance;
 use crate::multiview::robust_loss::cauchy;
@@ -12,20 +12,30 @@ use i2slam_compute::Random;
 use i2slam_geometry::{Camera, Pose};
 use std::collections::BTreeSet;
 
-/// Deviation of the position of a feature in motion-blurred pictures [px].
-pub(crate) const POSITION_SIGMA: f64 = 2.0;
+/// Deviation of the position of a feature in motion-blurred pictures [px of the picture it was found in].
+const POSITION_SIGMA: f64 = 2.0;
 /// Hypotheses of RANSAC, and matches of each.
 const HYPOTHESES: usize = 2000;
 const SAMPLE_SIZE: usize = 5;
 /// Steps from one start, and of the final pose.
 const SAMPLE_STEPS: usize = 8;
 const FINAL_STEPS: usize = 15;
-/// Distance of a match that agrees from its epipolar lines, at most [px].
-pub(crate) const MAX_EPIPOLAR_DISTANCE: f64 = 2.0;
+/// Distance of a match that agrees from its epipolar lines, at most [px of the picture it was found in].
+const MAX_EPIPOLAR_DISTANCE: f64 = 2.0;
 /// Distance within which matches of both sizes of the pictures are one [px].
 const MIN_SEPARATION: f64 = 4.0;
 /// Places at which matches must agree.
 const MIN_INLIERS: usize = 12;
+
+/// Deviation of the position of a feature in the pictures of a camera [px].
+pub(crate) fn position_sigma(camera: &Camera<f64>) -> f64 {
+    POSITION_SIGMA * feature_pixel(camera.width, camera.height)
+}
+
+/// Distance of a match that agrees from its epipolar lines in the pictures of a camera, at most [px].
+pub(crate) fn max_epipolar_distance(camera: &Camera<f64>) -> f64 {
+    MAX_EPIPOLAR_DISTANCE * feature_pixel(camera.width, camera.height)
+}
 
 /// The relative pose of two pictures that show the same scene, and the matches that agree on it.
 #[derive(Clone, Debug)]
@@ -102,8 +112,9 @@ fn verify(
 ) -> Option<VerifiedPair> {
     let pose = relative_pose(camera, features, matches, approximate)?;
     let pairs = rays(camera, features, matches);
-    let agreeing =
-        |(_, rays): &(&FeatureMatch, &RayPair)| error(camera, &pose, rays) < MAX_EPIPOLAR_DISTANCE;
+    let agreeing = |(_, rays): &(&FeatureMatch, &RayPair)| {
+        error(camera, &pose, rays) < max_epipolar_distance(camera)
+    };
     let inliers: Vec<FeatureMatch> =
         matches.iter().zip(&pairs).filter(agreeing).map(|(m, _)| *m).collect();
     let chance = chance_of_agreement(camera, &pose, features, second_best);
@@ -140,15 +151,17 @@ fn relative_pose(
         else {
             continue;
         };
-        let off = |rays: &RayPair| error(camera, &found, rays).min(MAX_EPIPOLAR_DISTANCE).powi(2);
+        let off =
+            |rays: &RayPair| error(camera, &found, rays).min(max_epipolar_distance(camera)).powi(2);
         let cost: f64 = pairs.iter().map(off).sum();
         if best.is_none_or(|(least, _)| cost < least) {
             best = Some((cost, found));
         }
     }
     let pose = best?.1;
-    let is_near =
-        |(_, rays): &(&FeatureMatch, &RayPair)| error(camera, &pose, rays) < MAX_EPIPOLAR_DISTANCE;
+    let is_near = |(_, rays): &(&FeatureMatch, &RayPair)| {
+        error(camera, &pose, rays) < max_epipolar_distance(camera)
+    };
     let near: Vec<FeatureMatch> =
         matches.iter().zip(&pairs).filter(is_near).map(|(m, _)| *m).collect();
     refined_pose(camera, features, pose, &near)
@@ -168,7 +181,7 @@ fn refined_pose(
     matches: &[FeatureMatch],
 ) -> Option<Pose<f64>> {
     let pairs = rays(camera, features, matches);
-    let weight = |r: f64| cauchy(r * camera.fx, POSITION_SIGMA).0;
+    let weight = |r: f64| cauchy(r * camera.fx, position_sigma(camera)).0;
     let refined = refine_relative_pose(&pairs, start, FINAL_STEPS, weight)?;
     Some(resolve_cheirality(camera.fx, &pairs, refined).second_from_first)
 }
@@ -203,7 +216,9 @@ fn chance_of_agreement(
     let positions: Vec<([f64; 2], [f64; 2])> =
         second_best.iter().map(|(a, b)| (first.positions[*a], second.positions[*b])).collect();
     let pairs = ray_pairs(camera, &positions);
-    let agreeing =
-        pairs.iter().filter(|rays| error(camera, pose, rays) < MAX_EPIPOLAR_DISTANCE).count();
+    let agreeing = pairs
+        .iter()
+        .filter(|rays| error(camera, pose, rays) < max_epipolar_distance(camera))
+        .count();
     (agreeing + 1) as f64 / (pairs.len() + 1) as f64
 }

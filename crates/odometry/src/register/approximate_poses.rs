@@ -5,8 +5,8 @@
 //! measurements, so that a photograph with few or wrong matches stays near its given place.
 
 use crate::bundle::RelativePoseFactor;
-use crate::features::POSITION_SIGMA;
 use crate::features::collection::PhotoCollection;
+use crate::features::position_sigma;
 use crate::multiview::landmark::Landmark;
 use crate::progress::Stage;
 use crate::register::photographs::with_matches;
@@ -133,7 +133,7 @@ fn nearest(given: &[Option<Pose<f64>>], frame: usize, among: &[usize]) -> Vec<us
 /// Standard deviations of given positions and orientations [rad], a coordinate, so large that they explain the
 /// residuals of landmarks.
 fn first_deviations(state: &SfmState) -> [f64; 2] {
-    let angle = state.noise_scale * POSITION_SIGMA / state.camera.fx;
+    let angle = state.noise_scale * position_sigma(&state.camera) / state.camera.fx;
     [angle * median_distance(state), angle]
 }
 
@@ -289,8 +289,9 @@ mod tests {
             (is_within && is_shown(frame)).then(|| [u + pixels * n[0], v + pixels * n[1]])
         };
         let mut state = fixtures::state((FRAMES, 30, 1), [150.0, 110.0], truth, observe);
+        let sigma = position_sigma(&state.camera);
         for o in state.tracks.tracks.iter_mut().flat_map(|track| &mut track.observations) {
-            *o = crate::track::tracks::Observation::new(o.frame, o.at(), POSITION_SIGMA);
+            *o = crate::track::tracks::Observation::new(o.frame, o.at(), sigma);
         }
         state.landmarks.fill(None);
         state

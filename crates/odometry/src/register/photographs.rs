@@ -4,7 +4,7 @@ use crate::depth::readings::read_depth;
 use crate::features::collection::{
     MatchedPhotographs, PhotoCollection, PhotographFeature, PhotographPair,
 };
-use crate::features::{MAX_EPIPOLAR_DISTANCE, POSITION_SIGMA};
+use crate::features::{max_epipolar_distance, position_sigma};
 use crate::multiview::a_contrario::is_no_chance;
 use crate::multiview::landmark::{Landmark, Match, reprojection_error};
 use crate::multiview::lens_distortion::undistort;
@@ -164,7 +164,7 @@ fn forget_observations(state: &mut SfmState, found: &Localization) {
 
 /// The observation that a feature is, without lens distortion.
 fn observation(state: &SfmState, frame: usize, feature: &PhotographFeature) -> Observation {
-    let raw = Observation::new(frame, feature.at, POSITION_SIGMA);
+    let raw = Observation::new(frame, feature.at, position_sigma(&state.camera));
     raw.moved_to(undistort(&state.camera, state.distortion, feature.at))
 }
 
@@ -173,7 +173,7 @@ fn agrees(state: &SfmState, [a, b]: &[Observation; 2]) -> bool {
     let (Some(from), Some(to)) = (state.poses[a.frame], state.poses[b.frame]) else { return false };
     let ray = |o: &Observation| state.camera.unproject(o.at()[0], o.at()[1], 1.0);
     let off = sampson(&(to.inverse() * from), &(ray(a), ray(b))).abs() * state.camera.fx;
-    off < MAX_EPIPOLAR_DISTANCE
+    off < max_epipolar_distance(&state.camera)
 }
 
 /// The pose of a photograph by its matches with landmarks.
@@ -342,11 +342,11 @@ fn baseline_length(
 
 /// Share of the picture within which a candidate agrees.
 fn chance_of_place(camera: &Camera<f64>) -> f64 {
-    let radius = MAX_ERROR * POSITION_SIGMA;
+    let radius = MAX_ERROR * position_sigma(camera);
     std::f64::consts::PI * radius * radius / (camera.width * camera.height) as f64
 }
 
 /// Share of a line across the picture within which a candidate agrees.
 fn chance_on_line(camera: &Camera<f64>) -> f64 {
-    2.0 * MAX_ERROR * POSITION_SIGMA / (camera.width as f64).hypot(camera.height as f64)
+    2.0 * MAX_ERROR * position_sigma(camera) / (camera.width as f64).hypot(camera.height as f64)
 }

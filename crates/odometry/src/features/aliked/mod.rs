@@ -21,10 +21,20 @@ const TEMPERATURE: f32 = 0.1;
 /// Distance of keypoints from the border [px].
 const BORDER: usize = 4;
 
+/// Side of a pixel of the picture that features are looked for in, in pixels of one of this size.
+pub(crate) fn feature_pixel(width: usize, height: usize) -> f64 {
+    if width.max(height) < MIN_SIDE { 0.5 } else { 1.0 }
+}
+
 /// A descriptor, of length 1.
 pub(super) type Descriptor = [f32; FEATURES];
 
-/// Features of a picture, and of one half its size, in which motion blur is half as long.
+/// Longer side of a picture below which features are looked for in one of twice the size, too [px]: the
+/// network has learned from larger pictures.
+const MIN_SIDE: usize = 640;
+
+/// Features of a picture, and of one half its size, in which motion blur is half as long; of a small picture
+/// those of one of twice its size, and its own.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Features {
     /// Positions in the picture [px], of each size those of highest score first.
@@ -37,17 +47,27 @@ pub(crate) struct Features {
 impl Features {
     /// Features of a picture of one plane.
     pub(crate) fn new(brightness: &Image<f32>) -> Self {
-        let half = brightness.resized_by_area(brightness.width / 2, brightness.height / 2);
-        let mut features = Self::of_one_size(brightness);
-        let of_half = Self::of_one_size(&half);
-        let scale = [
-            brightness.width as f64 / half.width as f64,
-            brightness.height as f64 / half.height as f64,
-        ];
+        let (width, height) = (brightness.width, brightness.height);
+        let [mut features, smaller] = match feature_pixel(width, height) < 1.0 {
+            true => [
+                Self::of_resized(&doubled(brightness), [width, height]),
+                Self::of_one_size(brightness),
+            ],
+            false => {
+                let half = brightness.resized_by_area(width / 2, height / 2);
+                [Self::of_one_size(brightness), Self::of_resized(&half, [width, height])]
+            }
+        };
+        features.positions.extend(smaller.positions);
+        features.descriptors.extend(smaller.descriptors);
         features
-            .positions
-            .extend(of_half.positions.iter().map(|[x, y]| [scale[0] * x, scale[1] * y]));
-        features.descriptors.extend(of_half.descriptors);
+    }
+
+    /// Features of a resized copy of a picture, at their places in it.
+    fn of_resized(copy: &Image<f32>, size: [usize; 2]) -> Self {
+        let mut features = Self::of_one_size(copy);
+        let scale = [size[0] as f64 / copy.width as f64, size[1] as f64 / copy.height as f64];
+        features.positions.iter_mut().for_each(|[x, y]| (*x, *y) = (scale[0] * *x, scale[1] * *y));
         features
     }
 
@@ -88,6 +108,19 @@ impl Features {
     pub(super) fn len(&self) -> usize {
         self.positions.len()
     }
+}
+
+/// A picture of twice the size by cubic convolution, the nearest pixel along the border.
+fn doubled(picture: &Image<f32>) -> Image<f32> {
+    let (width, height) = (2 * picture.width, 2 * picture.height);
+    let rows = (0..height).into_par_iter().flat_map_iter(|row| {
+        (0..width).map(move |column| {
+            let [u, v] = [column, row].map(|i| 0.5 * (i as f32 + 0.5));
+            let tap = picture.cubic_tap(u, v);
+            tap.map_or_else(|| picture.at(0, column / 2, row / 2), |tap| tap.sample(&picture.data))
+        })
+    });
+    Image { data: rows.collect(), ..Image::new(width, height, 1) }
 }
 
 /// Peaks of the scores, highest first, whole numbers in the middle of pixels.
@@ -203,5 +236,34 @@ mod tests {
                 assert!((a - b).abs() < 4e-3, "{i}: {a} {b}");
             }
         }
+    }
+
+    #[test]
+    fn small_pictures_are_doubled() {
+        let value = |x: f64, y: f64| (0.01 * (0.3 * x * x - 0.2 * x * y) + 0.1 * y) as f32;
+        let picture = Image::from_fn(24, 20, 1, |_, column, row| value(column as f64, row as f64));
+        let large = doubled(&picture);
+        assert_eq!((large.width, large.height), (48, 40));
+        for (column, row) in [(6, 8), (21, 30), (40, 35)] {
+            let due = value(0.5 * column as f64 - 0.25, 0.5 * row as f64 - 0.25);
+            assert!((large.at(0, column, row) - due).abs() < 1e-4, "{column} {row}");
+        }
+        assert_eq!(large.at(0, 0, 39), picture.at(0, 0, 19));
+    }
+
+    #[test]
+    fn features_of_a_doubled_picture_lie_where_the_picture_has_them() {
+        // A bright disc at (40.2, 30.7), pixel centres at halves.
+        let picture = Image::from_fn(96, 64, 1, |_, column, row| {
+            let off = (column as f64 + 0.5 - 40.2).hypot(row as f64 + 0.5 - 30.7);
+            (0.2 + 0.6 / (1.0 + (2.0 * (off - 3.0)).exp())) as f32
+        });
+        assert_eq!(feature_pixel(picture.width, picture.height), 0.5);
+        let found = Features::new(&picture);
+        let own = Features::of_one_size(&picture);
+        assert_eq!(found.positions[found.of_full_size..], own.positions);
+        let near = |[x, y]: &[f64; 2]| (x - 40.2).hypot(y - 30.7) < 5.0;
+        let of_doubled = &found.positions[..found.of_full_size];
+        assert!(!of_doubled.is_empty() && of_doubled.iter().all(near), "{of_doubled:?}");
     }
 }
