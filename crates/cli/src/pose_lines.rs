@@ -49,6 +49,9 @@ impl PoseLines {
                     );
                 }
                 Some(false) => return refused("the file exists, choose another name"),
+                Some(true) if previous(path).exists() && !has_poses(&previous(path)) => {
+                    return refused("FILE.previous has no poses, choose another name");
+                }
                 _ => {}
             }
             if let Err(why) = check_folder(path, folders) {

@@ -70,7 +70,7 @@ pub(crate) struct Run {
     pub(crate) hold_out: Option<HoldOut>,
     /// Write poses while frames come, a line in the TUM format for each frame that has one, to a new
     /// file, a named pipe, or - for the standard output (results then go to standard error);
-    /// trajectory.txt has the final ones. With --overwrite poses of an earlier run move to FILE.previous
+    /// trajectory.txt has the final ones. With --overwrite poses of the run before move to FILE.previous
     #[arg(long, value_name = "FILE")]
     pub(crate) poses: Option<PathBuf>,
     #[command(flatten)]

@@ -135,11 +135,11 @@ impl CameraFile {
         })
     }
 
-    /// `fx fy cx cy` [px]; `None` where the text gives a frame rate or depth scale and nothing else.
+    /// `fx fy cx cy` [px]; `None` where the text has a frame rate, depth scale or size alone.
     fn intrinsics(&self, path: &Path, text: &str) -> Result<Option<[f64; 4]>, DatasetError> {
         let keys: BTreeMap<String, IgnoredAny> = serde_json::from_str(text).unwrap_or_default();
-        let is_rate = |key: &String| ["fps", "depth_scale"].contains(&key.as_str());
-        if !keys.is_empty() && keys.keys().all(is_rate) {
+        let of_no_camera = ["fps", "depth_scale", "width", "height", "pixel_centre"];
+        if !keys.is_empty() && keys.keys().all(|key| of_no_camera.contains(&key.as_str())) {
             return Ok(None);
         }
         let named = [("fx", self.fx), ("fy", self.fy), ("cx", self.cx), ("cy", self.cy)];

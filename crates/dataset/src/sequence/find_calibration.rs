@@ -15,7 +15,15 @@ pub(super) fn find_calibration(
     options: &OpenOptions,
 ) -> Result<Calibration, DatasetError> {
     let beside = folder.join("camera.json");
-    let defaults = layout.defaults().with_depth_on_colour_camera();
+    let usual = layout.defaults().with_depth_on_colour_camera();
+    // A camera.json in the folder of a video need not belong to it.
+    let given = !layout.is_video() && is_present(&beside) && !is_of_result(folder);
+    let given = given.then(|| read_camera(&beside, usual));
+    // Without a camera it has frame rate and scale of depth, whatever gives the camera.
+    let defaults = match &given {
+        Some(Ok(rates)) if rates.is_guess => rates.format,
+        _ => usual,
+    };
     let mut found = if let Some(k) = options.intrinsics {
         let (lens, source) = (Distortion::default(), "the given intrinsics");
         Calibration::from_opencv(k, lens, source, defaults)
@@ -25,16 +33,13 @@ pub(super) fn find_calibration(
         let source = format!("the given field of view of {degrees} degrees");
         Calibration::from_view(FieldOfView::Width(degrees), source, defaults)
     } else if layout.is_video() {
-        // A camera.json in the folder of a video need not belong to it.
         assumed_calibration(folder, options, defaults)?
     } else {
-        let given = is_present(&beside) && !is_of_result(folder);
-        let given = given.then(|| read_camera(&beside, defaults)).transpose()?;
-        match given {
+        match given.transpose()? {
             Some(found) if !found.is_guess => found,
             // It gives a frame rate or the scale of depth alone.
             Some(rates) => match known_calibration(folder, layout)? {
-                Some(found) => with_rates(found, rates.format, defaults),
+                Some(found) => with_rates(found, rates.format, usual),
                 None => rates,
             },
             None => match known_calibration(folder, layout)? {
@@ -65,14 +70,10 @@ fn known_calibration(
     Ok(layout.calibration()?.or_else(|| published_calibration(folder)))
 }
 
-/// With the frame rate and the scale of depth that a file gives beside the `defaults`.
-fn with_rates(
-    mut found: Calibration,
-    given: FormatDefaults,
-    defaults: FormatDefaults,
-) -> Calibration {
+/// With the frame rate and the scale of depth that a file gives, where they are not the `usual` ones.
+fn with_rates(mut found: Calibration, given: FormatDefaults, usual: FormatDefaults) -> Calibration {
     found.format.frame_rate = given.frame_rate.or(found.format.frame_rate);
-    if given.depth_scale != defaults.depth_scale {
+    if given.depth_scale != usual.depth_scale {
         found.format.depth_scale = given.depth_scale;
     }
     found

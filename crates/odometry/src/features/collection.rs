@@ -226,7 +226,7 @@ fn compared_pairs(features: &[&Features]) -> Vec<(usize, usize)> {
         return all.collect();
     }
     let strongest: Vec<Features> =
-        features.iter().map(|f| f.strongest_of_half_size(COMPARED_FEATURES)).collect();
+        features.iter().map(|f| f.strongest_of_smaller(COMPARED_FEATURES)).collect();
     let all: Vec<(usize, usize)> = all.collect();
     let alike =
         |&(a, b): &(usize, usize)| match_features(&strongest[a], &strongest[b]).distinct.len();

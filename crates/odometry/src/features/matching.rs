@@ -8,7 +8,8 @@ const MAX_DISTANCE_RATIO: f32 = 0.95;
 
 /// Squared distance of descriptors that are equal but for rounding.
 const MIN_SQUARED_DISTANCE: f32 = 1e-5;
-/// Distance from the best match beyond which the second best shows another point [px].
+/// Distance from the best match beyond which the second best shows another point [px of the
+/// larger picture that features are found in].
 const MIN_ELSEWHERE: f64 = 10.0;
 
 /// A feature of one picture that looks like a feature of another.
@@ -81,7 +82,7 @@ pub(super) fn match_features(first: &Features, second: &Features) -> Matches {
     let elsewhere = |(i, best): (usize, &Best)| {
         let (a, b) = (second.positions.get(best.index)?, second.positions.get(best.second_index)?);
         let distance = (a[0] - b[0]).hypot(a[1] - b[1]);
-        (distance > MIN_ELSEWHERE).then_some((i, best.second_index))
+        (distance > second.pixel * MIN_ELSEWHERE).then_some((i, best.second_index))
     };
     Matches { distinct, second_best: here.iter().enumerate().filter_map(elsewhere).collect() }
 }
@@ -99,7 +100,7 @@ mod tests {
             let norm = n.iter().map(|v| v * v).sum::<f64>().sqrt();
             std::array::from_fn(|i| (n[i] / norm) as f32)
         };
-        Features::of_full_size(
+        Features::of_larger(
             vec![[0.0; 2]; count],
             numbers.chunks_exact(length).map(descriptor).collect(),
         )

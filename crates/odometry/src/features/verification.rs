@@ -12,7 +12,8 @@ use i2slam_compute::Random;
 use i2slam_geometry::{Camera, Pose};
 use std::collections::BTreeSet;
 
-/// Deviation of the position of a feature in motion-blurred pictures [px of the picture it was found in].
+/// Deviation of the position of a feature in motion-blurred pictures [px of the larger picture that it is
+/// found in].
 const POSITION_SIGMA: f64 = 2.0;
 /// Hypotheses of RANSAC, and matches of each.
 const HYPOTHESES: usize = 2000;
@@ -20,9 +21,10 @@ const SAMPLE_SIZE: usize = 5;
 /// Steps from one start, and of the final pose.
 const SAMPLE_STEPS: usize = 8;
 const FINAL_STEPS: usize = 15;
-/// Distance of a match that agrees from its epipolar lines, at most [px of the picture it was found in].
+/// Distance of a match that agrees from its epipolar lines, at most [px of the larger picture that it is
+/// found in].
 const MAX_EPIPOLAR_DISTANCE: f64 = 2.0;
-/// Distance within which matches of both sizes of the pictures are one [px].
+/// Distance within which matches of both sizes of the pictures are one, likewise.
 const MIN_SEPARATION: f64 = 4.0;
 /// Places at which matches must agree.
 const MIN_INLIERS: usize = 12;
@@ -199,7 +201,7 @@ fn error(camera: &Camera<f64>, pose: &Pose<f64>, rays: &RayPair) -> f64 {
 
 /// Number of places in both pictures that matches show: a point may match in both sizes.
 fn distinct_places([first, second]: [&Features; 2], matches: &[FeatureMatch]) -> usize {
-    let cell = |at: [f64; 2]| at.map(|v| (v / MIN_SEPARATION) as usize);
+    let cell = |at: [f64; 2]| at.map(|v| (v / (first.pixel * MIN_SEPARATION)) as usize);
     let place =
         |m: &FeatureMatch| (cell(first.positions[m.first]), cell(second.positions[m.second]));
     matches.iter().map(place).collect::<BTreeSet<_>>().len()

@@ -21,17 +21,17 @@ const TEMPERATURE: f32 = 0.1;
 /// Distance of keypoints from the border [px].
 const BORDER: usize = 4;
 
-/// Side of a pixel of the picture that features are looked for in, in pixels of one of this size.
+/// Side of a pixel of the larger picture that features are looked for in, in pixels of one of this size.
 pub(crate) fn feature_pixel(width: usize, height: usize) -> f64 {
-    if width.max(height) < MIN_SIDE { 0.5 } else { 1.0 }
+    if width.max(height) < SMALL_SIDE { 0.5 } else { 1.0 }
 }
 
 /// A descriptor, of length 1.
 pub(super) type Descriptor = [f32; FEATURES];
 
-/// Longer side of a picture below which features are looked for in one of twice the size, too [px]: the
-/// network has learned from larger pictures.
-const MIN_SIDE: usize = 640;
+/// Longer side below which pictures are enlarged to twice their size [px]: the network has learned from
+/// larger ones.
+const SMALL_SIDE: usize = 480;
 
 /// Features of a picture, and of one half its size, in which motion blur is half as long; of a small picture
 /// those of one of twice its size, and its own.
@@ -40,8 +40,10 @@ pub(crate) struct Features {
     /// Positions in the picture [px], of each size those of highest score first.
     pub(super) positions: Vec<[f64; 2]>,
     pub(super) descriptors: Vec<Descriptor>,
-    /// Number of features of the picture itself, before those of half its size.
-    of_full_size: usize,
+    /// Side of a pixel of the larger picture [px].
+    pub(super) pixel: f64,
+    /// Number of features of the larger picture, before those of the smaller one.
+    of_larger: usize,
 }
 
 impl Features {
@@ -60,7 +62,7 @@ impl Features {
         };
         features.positions.extend(smaller.positions);
         features.descriptors.extend(smaller.descriptors);
-        features
+        Self { pixel: feature_pixel(width, height), ..features }
     }
 
     /// Features of a resized copy of a picture, at their places in it.
@@ -78,30 +80,32 @@ impl Features {
         Self {
             positions: keypoints.iter().map(|at| at.map(|v| f64::from(v) + 0.5)).collect(),
             descriptors: keypoints.par_iter().map(describe).collect(),
-            of_full_size: keypoints.len(),
+            of_larger: keypoints.len(),
+            pixel: 1.0,
         }
     }
 
-    /// The features of highest score in the picture of half the size.
-    pub(super) fn strongest_of_half_size(&self, count: usize) -> Self {
-        let kept = self.of_full_size..self.len().min(self.of_full_size + count);
+    /// The features of highest score in the smaller picture.
+    pub(super) fn strongest_of_smaller(&self, count: usize) -> Self {
+        let kept = self.of_larger..self.len().min(self.of_larger + count);
         Self {
             positions: self.positions[kept.clone()].to_vec(),
             descriptors: self.descriptors[kept].to_vec(),
-            of_full_size: 0,
+            of_larger: 0,
+            pixel: self.pixel,
         }
     }
 
     /// Features of one size and of the other, which match those of the same size alone.
     pub(super) fn by_size(&self) -> [std::ops::Range<usize>; 2] {
-        [0..self.of_full_size, self.of_full_size..self.len()]
+        [0..self.of_larger, self.of_larger..self.len()]
     }
 
-    /// Features of the picture's own size.
+    /// Features of the larger picture alone.
     #[cfg(test)]
-    pub(super) fn of_full_size(positions: Vec<[f64; 2]>, descriptors: Vec<Descriptor>) -> Self {
-        let of_full_size = positions.len();
-        Self { positions, descriptors, of_full_size }
+    pub(super) fn of_larger(positions: Vec<[f64; 2]>, descriptors: Vec<Descriptor>) -> Self {
+        let of_larger = positions.len();
+        Self { positions, descriptors, of_larger, pixel: 1.0 }
     }
 
     /// Number of features.
@@ -261,9 +265,9 @@ mod tests {
         assert_eq!(feature_pixel(picture.width, picture.height), 0.5);
         let found = Features::new(&picture);
         let own = Features::of_one_size(&picture);
-        assert_eq!(found.positions[found.of_full_size..], own.positions);
+        assert_eq!(found.positions[found.of_larger..], own.positions);
         let near = |[x, y]: &[f64; 2]| (x - 40.2).hypot(y - 30.7) < 5.0;
-        let of_doubled = &found.positions[..found.of_full_size];
+        let of_doubled = &found.positions[..found.of_larger];
         assert!(!of_doubled.is_empty() && of_doubled.iter().all(near), "{of_doubled:?}");
     }
 }
