@@ -22,7 +22,7 @@ pub(crate) struct PoseLines {
     path: PathBuf,
     /// The first lines.
     head: String,
-    /// Whether poses of an earlier run make room.
+    /// True if poses of an earlier run are moved out of the way.
     overwrite: bool,
     /// Lines to be written, and the end of the thread that does; `None` before the first one.
     writer: Mutex<Option<(Sender<String>, Receiver<()>)>>,
@@ -122,7 +122,7 @@ fn previous(path: &Path) -> PathBuf {
     name.into()
 }
 
-/// Whether a file begins as those with poses do.
+/// True if a file begins as those with poses do.
 fn has_poses(path: &Path) -> bool {
     let heads =
         [UnitOfLength::Metre, UnitOfLength::Unknown].map(|unit| online_trajectory(&[], unit));
@@ -164,7 +164,7 @@ mod tests {
     use i2slam_check::TemporaryFolder;
 
     #[test]
-    fn poses_of_an_earlier_run_make_room_where_that_is_asked_for() {
+    fn poses_of_an_earlier_run_are_moved_where_that_is_asked_for() {
         let scratch = TemporaryFolder::new("pose-lines");
         let path = scratch.join("poses.txt");
         let no = Path::new("no");

@@ -60,7 +60,7 @@ pub struct FrameEstimate {
     pub held_out: bool,
     /// Whether tracking succeeded; otherwise the pose is predicted.
     pub tracked: bool,
-    /// Whether tone and motion during the exposure were estimated; otherwise the pose alone is known, as in
+    /// True if tone and motion during the exposure were estimated; otherwise the pose alone is known, as in
     /// runs that ended early: tone is that of the frame before, blur length and losses are 0.
     pub refined: bool,
     /// Losses at the end of tracking.

@@ -79,7 +79,7 @@ fn with_rates(mut found: Calibration, given: FormatDefaults, usual: FormatDefaul
     found
 }
 
-/// Whether `camera.json` is part of a result that was written into the folder: it is that of its map.
+/// True if `camera.json` is part of a result that was written into the folder, and that of its map.
 fn is_of_result(folder: &Path) -> bool {
     let manifest = Manifest::of(folder).filter(|manifest| manifest.command == "i2slam run");
     manifest.is_some_and(|manifest| manifest.files.contains_key("camera.json"))

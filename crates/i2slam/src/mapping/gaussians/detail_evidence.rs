@@ -44,7 +44,7 @@ impl ContrastSums {
         }
     }
 
-    /// Whether at least two keyframes agree.
+    /// True if at least two keyframes agree.
     fn is_consistent(&self) -> bool {
         if self.keyframes < 2 {
             return false;
@@ -115,7 +115,7 @@ impl DetailEvidence {
         }
     }
 
-    /// Whether a Gaussian, or the whole that it came from, covers detail along an axis.
+    /// True if a Gaussian, or the whole that it came from, covers detail along an axis.
     pub(super) fn supports(&self, index: usize, axis: usize) -> bool {
         let candidate = self.places[index].map(|place| &self.candidates[place]);
         let along = |candidate: &Candidate| {

@@ -96,7 +96,8 @@ fn wrong_pixels(colour: &Image<f32>, prediction: &Image<f32>, limit: f32) -> Vec
 }
 
 /// Splits the Gaussians on the rendered surface that are larger than the picture asks for where it
-/// differs from its prediction, and that the evidence says cover detail. Returns the index of the one that each appended Gaussian came from.
+/// differs from its prediction, and that the evidence says cover detail. Returns the index of the one that
+/// each appended Gaussian came from.
 pub(super) fn split_gaussians(
     map: &mut GaussianMap,
     bounds: &mut ScaleBounds,
