@@ -31,7 +31,7 @@ pub(crate) struct PoseLines {
 impl PoseLines {
     /// Checks the name of a file; `-` is the standard output, where results then go to standard error.
     /// It is opened with the first pose, so that a run that is refused leaves nothing. A file that
-    /// exists is refused, unless it has poses of an earlier run and may be replaced, and so is one in the
+    /// exists is refused, unless it has poses of an earlier run, which then move, and so is one in the
     /// dataset or among the results.
     pub(crate) fn new(
         path: &Path,
