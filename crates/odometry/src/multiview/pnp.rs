@@ -11,6 +11,9 @@ const MAX_STEPS: usize = 12;
 /// Hypotheses of RANSAC, and matches of each.
 const HYPOTHESES: usize = 300;
 const SAMPLE_SIZE: usize = 4;
+/// Samples of inliers alone after which RANSAC ends: positions are noisy, and the best of several samples is
+/// near enough to all inliers for the adjustment that follows.
+const GOOD_SAMPLES: f64 = 20.0;
 /// Residual at which the RANSAC cost is truncated, also of inliers [standard deviations].
 const MAX_RANSAC_ERROR: f64 = 3.0;
 /// Inliers of the RANSAC pose, and their ratio of all matches.
@@ -76,20 +79,33 @@ pub(crate) fn pose_of_samples<'a>(
     }
     let mut random = Random::new(matches.len() as u64);
     let mut best: Option<(f64, Pose<f64>)> = None;
-    for hypothesis in 0..hypotheses {
+    let (mut hypothesis, mut sufficient) = (0, hypotheses);
+    while hypothesis < sufficient {
         let sample: Vec<Match<'_>> =
             (0..SAMPLE_SIZE).map(|_| matches[random.below(matches.len())]).collect();
         let pose = solve_pnp_minimal(camera, starts[hypothesis % starts.len()], &sample);
-        let off =
-            |m: &Match<'_>| reprojection_error(camera, &pose, m).min(MAX_RANSAC_ERROR).powi(2);
-        let cost: f64 = matches.iter().map(off).sum();
+        hypothesis += 1;
+        let errors = matches.iter().map(|m| reprojection_error(camera, &pose, m));
+        let (cost, agreeing) = errors.fold((0.0, 0), |(cost, agreeing), error| {
+            let is_agreeing = error < MAX_RANSAC_ERROR;
+            (cost + error.min(MAX_RANSAC_ERROR).powi(2), agreeing + usize::from(is_agreeing))
+        });
         if pose.is_finite() && best.is_none_or(|(least, _)| cost < least) {
             best = Some((cost, pose));
+            sufficient = sufficient_samples(agreeing, matches.len(), hypotheses);
         }
     }
     let pose = best?.1;
     let agrees = |m: &&Match<'_>| reprojection_error(camera, &pose, m) < MAX_RANSAC_ERROR;
     Some((pose, matches.iter().filter(agrees).copied().collect()))
+}
+
+/// Number of samples among which [`GOOD_SAMPLES`] without an outlier are expected, where so many of the matches
+/// are known to agree; at most `most`.
+fn sufficient_samples(agreeing: usize, matches: usize, most: usize) -> usize {
+    let share = agreeing as f64 / matches.max(1) as f64;
+    // None that agree give infinity, which is more than `most`.
+    (GOOD_SAMPLES / share.powi(SAMPLE_SIZE as i32)).min(most as f64) as usize
 }
 
 /// The least-squares pose of a minimal sample of matches, from `start` on.
@@ -171,4 +187,23 @@ fn normal_equations(
     }
     sum.cost = cost;
     sum
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use i2slam_compute::Random;
+
+    #[test]
+    fn as_many_good_samples_as_asked_for_are_drawn_on_average() {
+        let mut random = Random::new(3);
+        for agreeing in [100, 70, 40] {
+            let samples = sufficient_samples(agreeing, 100, 100_000);
+            let mut is_good = || (0..SAMPLE_SIZE).all(|_| random.below(100) < agreeing);
+            let good = (0..200 * samples).filter(|_| is_good()).count() as f64 / 200.0;
+            assert!((good - GOOD_SAMPLES).abs() < 0.05 * GOOD_SAMPLES, "{agreeing}: {good}");
+        }
+        assert_eq!(sufficient_samples(0, 100, 300), 300);
+        assert_eq!(sufficient_samples(30, 100, 300), 300);
+    }
 }

@@ -14,12 +14,18 @@ use crate::sfm_state::SfmState;
 use crate::track::tracks::{Observation, Track};
 use i2slam_geometry::{Camera, Pose};
 use rayon::prelude::*;
+use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 /// Hypotheses of the pose of a photograph, and registered ones from whose poses it is searched.
 const HYPOTHESES: usize = 2000;
 const MAX_STARTS: usize = 4;
+/// Verified relative poses along which a photograph is placed, and distances along each.
+const MAX_PAIRS: usize = 8;
+const MAX_LENGTHS: usize = 64;
+/// Photographs that are localised at once.
+const LOCALIZED_AT_ONCE: usize = 4;
 /// Angle by which a photograph that is registered anew turns, at least [rad].
 const MIN_CORRECTION: f64 = 0.05;
 /// Residual of a match that agrees with a pose [deviations].
@@ -31,6 +37,8 @@ const MIN_UNVERIFIED_INLIERS: usize = 20;
 /// Matches that determine a pose, and those that determine it along a relative pose.
 const SAMPLE_SIZE: usize = 4;
 const SAMPLE_SIZE_OF_LENGTH: usize = 1;
+/// Adjustments of a pose to what agrees with it.
+const MAX_REFINEMENTS: usize = 6;
 /// Width of the loss of the final pose [deviations].
 const LOSS_WIDTH: f64 = 1.5;
 
@@ -42,6 +50,17 @@ struct Candidate<'a> {
     track: usize,
     landmark: &'a Landmark,
     observation: &'a Observation,
+}
+
+/// What the matches of a photograph say.
+struct MatchedLandmarks {
+    frame: usize,
+    /// Its features that match one of a registered photograph, and the tracks of these that others determine.
+    tracks: Vec<(usize, usize)>,
+    /// Number of such features.
+    features: usize,
+    /// Registered photographs, those that share most of them first.
+    most_shared: Vec<usize>,
 }
 
 /// A photograph localised in the map.
@@ -71,20 +90,41 @@ pub(crate) fn register_next_photograph(state: &mut SfmState) -> Option<usize> {
     let mut photographs = state.photographs.take()?;
     let (posed, unposed): (Vec<usize>, Vec<usize>) =
         photographs.features.keys().partition(|frame| state.poses[**frame].is_some());
-    let best_of = |frames: &[usize], is_better: &(dyn Fn(&Localization) -> bool + Sync)| {
-        let found: Vec<Option<Localization>> =
-            frames.par_iter().map(|frame| localize(state, &photographs, *frame)).collect();
-        let better = found.into_iter().flatten().filter(|found| is_better(found));
-        better.max_by_key(|found| found.agreeing.len())
-    };
-    let best = best_of(&unposed, &|_| true).or_else(|| {
+    let best = best_localization(state, &photographs, &unposed, |_| true).or_else(|| {
         let is_new = |frame: &usize| !photographs.registered_anew.contains(frame);
         let once: Vec<usize> = posed.iter().copied().filter(is_new).collect();
-        best_of(&once, &|found| is_elsewhere(state, found))
+        best_localization(state, &photographs, &once, |found| is_elsewhere(state, found))
     });
     let frame = best.map(|best| register(state, Arc::make_mut(&mut photographs), &best));
     state.photographs = Some(photographs);
     frame
+}
+
+/// Of some photographs the one with most features that agree on an acceptable pose.
+///
+/// No more of them can agree than match landmarks, so that photographs are localised in the order of these
+/// numbers, and only as long as one of the others may have more.
+fn best_localization(
+    state: &SfmState,
+    photographs: &MatchedPhotographs,
+    frames: &[usize],
+    is_acceptable: impl Fn(&Localization) -> bool,
+) -> Option<Localization> {
+    let mut matched: Vec<MatchedLandmarks> =
+        frames.par_iter().map(|f| MatchedLandmarks::new(state, photographs, *f)).collect();
+    matched.sort_by_key(|m| (Reverse(m.features), m.frame));
+    let mut best: Option<Localization> = None;
+    for some in matched.chunks(LOCALIZED_AT_ONCE) {
+        let most = best.as_ref().map_or(0, |best| best.agreeing.len());
+        if some[0].features <= most {
+            break;
+        }
+        let found: Vec<Option<Localization>> =
+            some.par_iter().map(|m| localize(state, photographs, m)).collect();
+        let acceptable = found.into_iter().flatten().filter(&is_acceptable);
+        best = best.into_iter().chain(acceptable).max_by_key(|found| found.agreeing.len());
+    }
+    best
 }
 
 /// True if a registered photograph agrees with more landmarks that others determine at another pose.
@@ -180,21 +220,23 @@ fn agrees(state: &SfmState, [a, b]: &[Observation; 2]) -> bool {
 fn localize(
     state: &SfmState,
     photographs: &MatchedPhotographs,
-    frame: usize,
+    matched: &MatchedLandmarks,
 ) -> Option<Localization> {
     if state.progress.is_cancelled() {
         return None;
     }
-    let (found, shared) = landmarks_of_matches(state, photographs, frame);
+    let frame = matched.frame;
     let of = |feature| observation(state, frame, feature);
     let observations: Vec<Observation> = photographs.features[&frame].iter().map(of).collect();
     let candidate = |&(own, track): &(usize, usize)| {
         let landmark = state.landmarks[track].as_ref()?;
         Some(Candidate { own, track, landmark, observation: &observations[own] })
     };
-    let candidates: Vec<Candidate<'_>> = found.iter().filter_map(candidate).collect();
-    let by_samples = pose_by_samples(state, &shared, &candidates);
-    let pairs = pairs_of(&photographs.pairs, frame);
+    let candidates: Vec<Candidate<'_>> = matched.tracks.iter().filter_map(candidate).collect();
+    let by_samples = pose_by_samples(state, &matched.most_shared, &candidates);
+    let is_near =
+        |(_, other): &(_, usize)| matched.most_shared.iter().take(MAX_PAIRS).any(|o| o == other);
+    let pairs = pairs_of(&photographs.pairs, frame).filter(is_near);
     let by_pairs = pairs.filter_map(|pair| pose_by_pair(state, frame, pair, &candidates));
     let (world_from_camera, agreeing) =
         by_pairs.chain(by_samples).max_by_key(|(_, agreeing)| agreeing.len())?;
@@ -202,27 +244,27 @@ fn localize(
     Some(Localization { frame, world_from_camera, agreeing })
 }
 
-/// Features of a photograph that match one of a registered photograph, and the tracks of these that others
-/// determine; also the number of them by photograph.
-fn landmarks_of_matches(
-    state: &SfmState,
-    photographs: &MatchedPhotographs,
-    frame: usize,
-) -> (BTreeSet<(usize, usize)>, BTreeMap<usize, usize>) {
-    let (mut found, mut shared) = (BTreeSet::new(), BTreeMap::new());
-    for (pair, other) in pairs_of(&photographs.pairs, frame) {
-        if state.poses[other].is_none() {
-            continue;
-        }
-        for (own, theirs) in matches_of(pair, frame) {
-            let track = photographs.features[&other][theirs].track;
-            if let Some(track) = track.filter(|t| is_determined_without(state, *t, frame)) {
-                *shared.entry(other).or_default() += 1;
-                found.insert((own, track));
+impl MatchedLandmarks {
+    fn new(state: &SfmState, photographs: &MatchedPhotographs, frame: usize) -> Self {
+        let (mut tracks, mut shared) = (BTreeSet::new(), BTreeMap::<usize, usize>::new());
+        for (pair, other) in pairs_of(&photographs.pairs, frame) {
+            if state.poses[other].is_none() {
+                continue;
+            }
+            for (own, theirs) in matches_of(pair, frame) {
+                let track = photographs.features[&other][theirs].track;
+                if let Some(track) = track.filter(|t| is_determined_without(state, *t, frame)) {
+                    *shared.entry(other).or_default() += 1;
+                    tracks.insert((own, track));
+                }
             }
         }
+        let tracks: Vec<(usize, usize)> = tracks.into_iter().collect();
+        let mut most_shared: Vec<usize> = shared.keys().copied().collect();
+        most_shared.sort_by_key(|other| Reverse((shared[other], *other)));
+        let features = tracks.chunk_by(|a, b| a.0 == b.0).count();
+        Self { frame, tracks, features, most_shared }
     }
-    (found, shared)
 }
 
 /// Pairs with a photograph, and the other one of each.
@@ -247,13 +289,11 @@ fn matches_of(pair: &PhotographPair, frame: usize) -> impl Iterator<Item = (usiz
 /// most of them, and the candidates that agree.
 fn pose_by_samples<'a>(
     state: &SfmState,
-    shared: &BTreeMap<usize, usize>,
+    most_shared: &[usize],
     candidates: &[Candidate<'a>],
 ) -> Option<(Pose<f64>, Vec<Candidate<'a>>)> {
-    let mut near: Vec<(usize, usize)> = shared.iter().map(|(other, n)| (*n, *other)).collect();
-    near.sort_by(|a, b| b.cmp(a));
     let starts: Vec<Pose<f64>> =
-        near.iter().take(MAX_STARTS).filter_map(|(_, other)| state.poses[*other]).collect();
+        most_shared.iter().take(MAX_STARTS).filter_map(|other| state.poses[*other]).collect();
     let (pose, _) = pose_of_samples(&state.camera, &starts, &matches(candidates), HYPOTHESES)?;
     let (pose, agreeing) = refined(&state.camera, pose, candidates);
     let chances = vec![chance_of_place(&state.camera); agreeing.len()];
@@ -278,7 +318,10 @@ fn pose_by_pair<'a>(
         let moved = Pose::new(relative.rotation, relative.translation * length);
         (length > 0.0).then(|| world_from_other * moved.inverse())
     };
-    let tried = candidates.iter().filter_map(at_length);
+    let tried = candidates
+        .iter()
+        .step_by(candidates.len().div_ceil(MAX_LENGTHS).max(1))
+        .filter_map(at_length);
     let pose = tried.max_by_key(|pose| agreeing(camera, pose, candidates).len())?;
     let (pose, agreeing) = refined(camera, pose, candidates);
     // What the other one shows lies on its epipolar line already.
@@ -297,15 +340,23 @@ fn matches<'a>(candidates: &[Candidate<'a>]) -> Vec<Match<'a>> {
     candidates.iter().map(|c| (c.landmark, c.observation)).collect()
 }
 
-/// A pose adjusted to the candidates that agree, and those that agree then.
+/// A pose adjusted to the candidates that agree as long as more do then, and those that agree.
 fn refined<'a>(
     camera: &Camera<f64>,
-    pose: Pose<f64>,
+    mut pose: Pose<f64>,
     candidates: &[Candidate<'a>],
 ) -> (Pose<f64>, Vec<Candidate<'a>>) {
-    let agreeing_before = matches(&agreeing(camera, &pose, candidates));
-    let pose = refine_pnp(camera, pose, &agreeing_before, LOSS_WIDTH);
-    (pose, agreeing(camera, &pose, candidates))
+    let mut agreeing_before = agreeing(camera, &pose, candidates);
+    for _ in 0..MAX_REFINEMENTS {
+        pose = refine_pnp(camera, pose, &matches(&agreeing_before), LOSS_WIDTH);
+        let agreeing_now = agreeing(camera, &pose, candidates);
+        let is_stable = agreeing_now.len() <= agreeing_before.len();
+        agreeing_before = agreeing_now;
+        if is_stable {
+            break;
+        }
+    }
+    (pose, agreeing_before)
 }
 
 /// Candidates that agree with a pose, one of each feature.
