@@ -153,7 +153,8 @@ impl FrontEnd {
         let (frame, is_cut) = (self.map.state.poses.len(), tracked.is_cut);
         let is_own = !self.picture_checks.is_repeat[frame] && !self.picture_checks.is_blank[frame];
         if let Some(now) = self.tracker.last_picture().filter(|_| is_own) {
-            self.photographs.add(frame, now, tracked.observed.len());
+            let points = [tracked.observed.len(), tracked.seen_before];
+            self.photographs.add(frame, now, points);
         }
         let is_repeat = &self.picture_checks.is_repeat;
         let status = self.map.add_frame(&mut self.tracker, tracked, is_repeat);

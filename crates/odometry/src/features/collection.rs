@@ -14,10 +14,13 @@ use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 
-/// Points that are tracked from a picture to the next one, at least, unless the order is none.
+/// Points that are tracked from a picture to the next one, at least, and their share of those that were seen
+/// in the former, unless the order is none.
 const MIN_TRACKED_POINTS: usize = 24;
-/// Share of pictures with fewer from which on all of them are photographs.
-const MIN_BREAK_SHARE: f64 = 0.25;
+const MIN_TRACKED_SHARE: f64 = 0.3;
+/// Share of pictures with fewer from which on all of them are photographs: shuffled ones have 0.27 and more,
+/// films up to 0.05.
+const MIN_BREAK_SHARE: f64 = 0.2;
 /// Pictures whose features can still be found.
 const MAX_RECENT_PICTURES: usize = 8;
 /// Pictures after which a film is known to be one.
@@ -121,9 +124,14 @@ pub(crate) struct PhotoCollection {
 }
 
 impl PhotoCollection {
-    /// Adds the picture of a frame that repeats no other, in which so many points `tracked` from those before
-    /// were found.
-    pub(crate) fn add(&mut self, frame: usize, picture: &Arc<Pyramid>, tracked: usize) {
+    /// Adds the picture of a frame that repeats no other, in which `tracked` of the points `seen_before` in the
+    /// last one were found.
+    pub(crate) fn add(
+        &mut self,
+        frame: usize,
+        picture: &Arc<Pyramid>,
+        [tracked, seen_before]: [usize; 2],
+    ) {
         if self.is_film {
             return;
         }
@@ -132,7 +140,9 @@ impl PhotoCollection {
         if self.recent.len() > MAX_RECENT_PICTURES {
             self.recent.pop_front();
         }
-        let is_break = self.pictures > 1 && tracked < MIN_TRACKED_POINTS;
+        let is_broken = tracked < MIN_TRACKED_POINTS
+            || (tracked as f64) < MIN_TRACKED_SHARE * seen_before as f64;
+        let is_break = self.pictures > 1 && is_broken;
         self.breaks += usize::from(is_break);
         let wanted = match (self.is_unordered(), is_break) {
             (true, _) => self.recent.len(),

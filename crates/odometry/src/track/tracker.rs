@@ -84,6 +84,8 @@ struct TrackedPicture {
 pub(crate) struct TrackedFrame {
     /// The picture shows another scene than the one before.
     pub(crate) is_cut: bool,
+    /// Number of points that were seen in the picture before.
+    pub(crate) seen_before: usize,
     /// Observations in the picture of tracks that began before it.
     pub(crate) observed: Vec<(usize, Observation)>,
     /// Tracks that begin with it, with their observations in the frames before.
@@ -155,6 +157,7 @@ impl Tracker {
         let pair = [last.pyramid.as_ref(), next.pyramid.as_ref()];
         let follow = |p: &TrackedPoint| follow_point(p.warp, p.is_followed, pair, next.shift);
         let followed: Vec<FollowedPoint> = self.points.par_iter().map(follow).collect();
+        tracked.seen_before = self.points.iter().filter(|p| p.hidden_frames == 0).count();
         let motion = self.picture_motion(&followed).unwrap_or(next.shift);
         if motion[0].hypot(motion[1]) >= MIN_SHUTTER_MOTION {
             self.compare_shutter_shares(&followed, &next.pyramid, motion);
