@@ -336,3 +336,57 @@ impl DisjointSets {
         self.0[a.max(b)] = a.min(b);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fixtures::moved_blobs;
+
+    /// Points tracked and seen before of frames in random order, of a fast film, and of one cut twice.
+    #[test]
+    fn pictures_that_lose_most_points_again_and_again_are_photographs() {
+        let shuffled = [
+            [264, 410],
+            [231, 420],
+            [110, 390],
+            [69, 400],
+            [26, 380],
+            [39, 300],
+            [90, 330],
+            [83, 350],
+            [289, 400],
+            [357, 420],
+        ];
+        let fast = [
+            [546, 700],
+            [464, 690],
+            [240, 500],
+            [134, 330],
+            [194, 280],
+            [171, 320],
+            [114, 360],
+            [202, 300],
+            [276, 350],
+            [399, 450],
+        ];
+        let cut = [
+            [300, 400],
+            [0, 400],
+            [310, 400],
+            [320, 400],
+            [330, 400],
+            [300, 400],
+            [0, 400],
+            [310, 400],
+            [320, 400],
+            [330, 400],
+        ];
+        let picture = Arc::new(Pyramid::new(&moved_blobs(0.0)));
+        for (points, expected) in [(shuffled, true), (fast, false), (cut, false)] {
+            let mut collection = PhotoCollection::default();
+            collection.add(0, &picture, [0, 0]);
+            (1..).zip(points).for_each(|(frame, points)| collection.add(frame, &picture, points));
+            assert_eq!(collection.is_unordered(), expected, "{points:?}");
+        }
+    }
+}
