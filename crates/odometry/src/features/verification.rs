@@ -21,8 +21,6 @@ const SAMPLE_SIZE: usize = 5;
 /// Steps from one start, and of the final pose.
 const SAMPLE_STEPS: usize = 8;
 const FINAL_STEPS: usize = 15;
-/// Adjustments of a pose to the matches that agree with it.
-const MAX_REFINEMENTS: usize = 6;
 /// Distance of a match that agrees from its epipolar lines, at most [px of the larger picture that it is
 /// found in].
 const MAX_EPIPOLAR_DISTANCE: f64 = 2.0;
@@ -145,7 +143,6 @@ fn relative_pose(
     let approximate = approximate.and_then(with_unit_baseline);
     let mut start = |random: &mut Random| approximate.unwrap_or_else(|| orbit(random));
     let mut random = Random::new(matches.len() as u64);
-    let farthest = max_epipolar_distance(camera);
     let mut best: Option<(f64, Pose<f64>)> = None;
     for hypothesis in 0..HYPOTHESES {
         // Distinct matches first, all of them in the end (PROSAC; Chum and Matas 2005).
@@ -156,28 +153,20 @@ fn relative_pose(
         else {
             continue;
         };
-        let off = |rays: &RayPair| error(camera, &found, rays).min(farthest).powi(2);
+        let off =
+            |rays: &RayPair| error(camera, &found, rays).min(max_epipolar_distance(camera)).powi(2);
         let cost: f64 = pairs.iter().map(off).sum();
         if best.is_none_or(|(least, _)| cost < least) {
             best = Some((cost, found));
         }
     }
-    let mut pose = best?.1;
-    let near = |pose: &Pose<f64>| -> Vec<FeatureMatch> {
-        let is_near = |(_, rays): &(&FeatureMatch, &RayPair)| error(camera, pose, rays) < farthest;
-        matches.iter().zip(&pairs).filter(is_near).map(|(m, _)| *m).collect()
+    let pose = best?.1;
+    let is_near = |(_, rays): &(&FeatureMatch, &RayPair)| {
+        error(camera, &pose, rays) < max_epipolar_distance(camera)
     };
-    let mut agreeing = near(&pose);
-    for _ in 0..MAX_REFINEMENTS {
-        pose = refined_pose(camera, features, pose, &agreeing)?;
-        let now = near(&pose);
-        let is_stable = now.len() <= agreeing.len();
-        agreeing = now;
-        if is_stable {
-            break;
-        }
-    }
-    Some(pose)
+    let near: Vec<FeatureMatch> =
+        matches.iter().zip(&pairs).filter(is_near).map(|(m, _)| *m).collect();
+    refined_pose(camera, features, pose, &near)
 }
 
 /// The pose with a translation of length 1, unless it is none.

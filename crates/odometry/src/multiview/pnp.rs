@@ -92,7 +92,9 @@ pub(crate) fn pose_of_samples<'a>(
         });
         if pose.is_finite() && best.is_none_or(|(least, _)| cost < least) {
             best = Some((cost, pose));
-            sufficient = sufficient_samples(agreeing, matches.len(), hypotheses);
+            // Every start may be the only one near enough.
+            let of_each = sufficient_samples(agreeing, matches.len(), hypotheses);
+            sufficient = (of_each * starts.len()).min(hypotheses);
         }
     }
     let pose = best?.1;

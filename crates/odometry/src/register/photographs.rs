@@ -21,10 +21,10 @@ use std::sync::Arc;
 /// Hypotheses of the pose of a photograph, and registered ones from whose poses it is searched.
 const HYPOTHESES: usize = 2000;
 const MAX_STARTS: usize = 4;
-/// Verified relative poses along which a photograph is placed, and distances along each.
+/// Verified relative poses along which a photograph is placed, and distances that are tried along each.
 const MAX_PAIRS: usize = 8;
 const MAX_LENGTHS: usize = 64;
-/// Photographs that are localised at once.
+/// Photographs that are localised at once: a number that does not depend on the processors, as results must not.
 const LOCALIZED_AT_ONCE: usize = 4;
 /// Angle by which a photograph that is registered anew turns, at least [rad].
 const MIN_CORRECTION: f64 = 0.05;
@@ -52,15 +52,16 @@ struct Candidate<'a> {
     observation: &'a Observation,
 }
 
-/// What the matches of a photograph say.
+/// Landmarks that a photograph shows according to its matches with registered ones.
 struct MatchedLandmarks {
     frame: usize,
-    /// Its features that match one of a registered photograph, and the tracks of these that others determine.
-    tracks: Vec<(usize, usize)>,
-    /// Number of such features.
+    /// Its features that match a feature of a landmark, and the tracks of these landmarks, each determined by
+    /// two other photographs.
+    shown: Vec<(usize, usize)>,
+    /// Number of different features among them.
     features: usize,
-    /// Registered photographs, those that share most of them first.
-    most_shared: Vec<usize>,
+    /// Registered photographs by the number of such matches with them, most first.
+    by_shared: Vec<usize>,
 }
 
 /// A photograph localised in the map.
@@ -90,52 +91,67 @@ pub(crate) fn register_next_photograph(state: &mut SfmState) -> Option<usize> {
     let mut photographs = state.photographs.take()?;
     let (posed, unposed): (Vec<usize>, Vec<usize>) =
         photographs.features.keys().partition(|frame| state.poses[**frame].is_some());
-    let best = best_localization(state, &photographs, &unposed, |_| true).or_else(|| {
+    let best = best_localization(state, &photographs, &unposed, |_| MIN_INLIERS, |_| true);
+    let best = best.or_else(|| {
         let is_new = |frame: &usize| !photographs.registered_anew.contains(frame);
         let once: Vec<usize> = posed.iter().copied().filter(is_new).collect();
-        best_localization(state, &photographs, &once, |found| is_elsewhere(state, found))
+        let least = |frame: usize| support(state, frame) + 1;
+        best_localization(state, &photographs, &once, least, |found| is_turned(state, found))
     });
     let frame = best.map(|best| register(state, Arc::make_mut(&mut photographs), &best));
     state.photographs = Some(photographs);
     frame
 }
 
-/// Of some photographs the one with most features that agree on an acceptable pose.
+/// Of some photographs the one with most features that agree on an acceptable pose, `least` of each at least.
 ///
-/// No more of them can agree than match landmarks, so that photographs are localised in the order of these
-/// numbers, and only as long as one of the others may have more.
+/// No more features can agree than match landmarks, so that photographs are localised in the order of these
+/// numbers, and only as long as one of the others may have as many that agree.
 fn best_localization(
     state: &SfmState,
     photographs: &MatchedPhotographs,
     frames: &[usize],
+    least: impl Fn(usize) -> usize + Sync,
     is_acceptable: impl Fn(&Localization) -> bool,
 ) -> Option<Localization> {
-    let mut matched: Vec<MatchedLandmarks> =
-        frames.par_iter().map(|f| MatchedLandmarks::new(state, photographs, *f)).collect();
-    matched.sort_by_key(|m| (Reverse(m.features), m.frame));
+    let landmarks = |frame: &usize| {
+        let matched = MatchedLandmarks::new(state, photographs, *frame);
+        let least = least(*frame);
+        (matched.features >= least).then_some((matched, least))
+    };
+    let mut matched: Vec<(MatchedLandmarks, usize)> =
+        frames.par_iter().filter_map(landmarks).collect();
+    matched.sort_by_key(|(m, _)| (Reverse(m.features), m.frame));
     let mut best: Option<Localization> = None;
     for some in matched.chunks(LOCALIZED_AT_ONCE) {
-        let most = best.as_ref().map_or(0, |best| best.agreeing.len());
-        if some[0].features <= most {
+        if best.as_ref().is_some_and(|best| some[0].0.features < best.agreeing.len()) {
             break;
         }
-        let found: Vec<Option<Localization>> =
-            some.par_iter().map(|m| localize(state, photographs, m)).collect();
+        let localized = |(matched, least): &(MatchedLandmarks, usize)| {
+            localize(state, photographs, matched).filter(|found| found.agreeing.len() >= *least)
+        };
+        let found: Vec<Option<Localization>> = some.par_iter().map(localized).collect();
         let acceptable = found.into_iter().flatten().filter(&is_acceptable);
-        best = best.into_iter().chain(acceptable).max_by_key(|found| found.agreeing.len());
+        best = best
+            .into_iter()
+            .chain(acceptable)
+            .max_by_key(|found| (found.agreeing.len(), Reverse(found.frame)));
     }
     best
 }
 
-/// True if a registered photograph agrees with more landmarks that others determine at another pose.
-fn is_elsewhere(state: &SfmState, found: &Localization) -> bool {
-    let Some(pose) = state.poses[found.frame] else { return false };
+/// Number of landmarks determined by others that a registered photograph agrees with.
+fn support(state: &SfmState, frame: usize) -> usize {
     let is_supporting = |(track, o): &(usize, &Observation)| {
-        !o.is_outlier && is_determined_without(state, *track, found.frame)
+        !o.is_outlier && is_determined_without(state, *track, frame)
     };
-    let support = state.observations_in(found.frame).filter(is_supporting).count();
-    let turn = pose.local(found.world_from_camera).rotation.norm();
-    found.agreeing.len() > support && turn > MIN_CORRECTION
+    state.observations_in(frame).filter(is_supporting).count()
+}
+
+/// True if a registered photograph is localised with another rotation than it has.
+fn is_turned(state: &SfmState, found: &Localization) -> bool {
+    let turn = |pose: Pose<f64>| pose.local(found.world_from_camera).rotation.norm();
+    state.poses[found.frame].is_some_and(|pose| turn(pose) > MIN_CORRECTION)
 }
 
 /// True if a track has a landmark that two photographs other than one determine.
@@ -232,12 +248,18 @@ fn localize(
         let landmark = state.landmarks[track].as_ref()?;
         Some(Candidate { own, track, landmark, observation: &observations[own] })
     };
-    let candidates: Vec<Candidate<'_>> = matched.tracks.iter().filter_map(candidate).collect();
-    let by_samples = pose_by_samples(state, &matched.most_shared, &candidates);
-    let is_near =
-        |(_, other): &(_, usize)| matched.most_shared.iter().take(MAX_PAIRS).any(|o| o == other);
-    let pairs = pairs_of(&photographs.pairs, frame).filter(is_near);
-    let by_pairs = pairs.filter_map(|pair| pose_by_pair(state, frame, pair, &candidates));
+    let candidates: Vec<Candidate<'_>> = matched.shown.iter().filter_map(candidate).collect();
+    let by_samples = pose_by_samples(state, &matched.by_shared, &candidates);
+    let verified =
+        pairs_of(&photographs.pairs, frame).filter(|(p, _)| p.second_from_first.is_some());
+    let rank = |(_, other): &(_, usize)| matched.by_shared.iter().position(|o| o == other);
+    let mut pairs: Vec<(&PhotographPair, usize)> =
+        verified.filter(|pair| rank(pair).is_some()).collect();
+    pairs.sort_by_key(rank);
+    let by_pairs = pairs
+        .into_iter()
+        .take(MAX_PAIRS)
+        .filter_map(|pair| pose_by_pair(state, frame, pair, &candidates));
     let (world_from_camera, agreeing) =
         by_pairs.chain(by_samples).max_by_key(|(_, agreeing)| agreeing.len())?;
     let agreeing = agreeing.iter().map(|c| (c.own, c.track)).collect();
@@ -246,7 +268,7 @@ fn localize(
 
 impl MatchedLandmarks {
     fn new(state: &SfmState, photographs: &MatchedPhotographs, frame: usize) -> Self {
-        let (mut tracks, mut shared) = (BTreeSet::new(), BTreeMap::<usize, usize>::new());
+        let (mut shown, mut shared) = (BTreeSet::new(), BTreeMap::<usize, usize>::new());
         for (pair, other) in pairs_of(&photographs.pairs, frame) {
             if state.poses[other].is_none() {
                 continue;
@@ -255,15 +277,15 @@ impl MatchedLandmarks {
                 let track = photographs.features[&other][theirs].track;
                 if let Some(track) = track.filter(|t| is_determined_without(state, *t, frame)) {
                     *shared.entry(other).or_default() += 1;
-                    tracks.insert((own, track));
+                    shown.insert((own, track));
                 }
             }
         }
-        let tracks: Vec<(usize, usize)> = tracks.into_iter().collect();
-        let mut most_shared: Vec<usize> = shared.keys().copied().collect();
-        most_shared.sort_by_key(|other| Reverse((shared[other], *other)));
-        let features = tracks.chunk_by(|a, b| a.0 == b.0).count();
-        Self { frame, tracks, features, most_shared }
+        let shown: Vec<(usize, usize)> = shown.into_iter().collect();
+        let mut by_shared: Vec<usize> = shared.keys().copied().collect();
+        by_shared.sort_by_key(|other| Reverse((shared[other], *other)));
+        let features = shown.chunk_by(|a, b| a.0 == b.0).count();
+        Self { frame, shown, features, by_shared }
     }
 }
 
@@ -289,11 +311,11 @@ fn matches_of(pair: &PhotographPair, frame: usize) -> impl Iterator<Item = (usiz
 /// most of them, and the candidates that agree.
 fn pose_by_samples<'a>(
     state: &SfmState,
-    most_shared: &[usize],
+    by_shared: &[usize],
     candidates: &[Candidate<'a>],
 ) -> Option<(Pose<f64>, Vec<Candidate<'a>>)> {
     let starts: Vec<Pose<f64>> =
-        most_shared.iter().take(MAX_STARTS).filter_map(|other| state.poses[*other]).collect();
+        by_shared.iter().take(MAX_STARTS).filter_map(|other| state.poses[*other]).collect();
     let (pose, _) = pose_of_samples(&state.camera, &starts, &matches(candidates), HYPOTHESES)?;
     let (pose, agreeing) = refined(&state.camera, pose, candidates);
     let chances = vec![chance_of_place(&state.camera); agreeing.len()];
@@ -318,10 +340,9 @@ fn pose_by_pair<'a>(
         let moved = Pose::new(relative.rotation, relative.translation * length);
         (length > 0.0).then(|| world_from_other * moved.inverse())
     };
-    let tried = candidates
-        .iter()
-        .step_by(candidates.len().div_ceil(MAX_LENGTHS).max(1))
-        .filter_map(at_length);
+    let count = candidates.len().min(MAX_LENGTHS);
+    let evenly = (0..count).map(|i| &candidates[i * candidates.len() / count]);
+    let tried = evenly.filter_map(at_length);
     let pose = tried.max_by_key(|pose| agreeing(camera, pose, candidates).len())?;
     let (pose, agreeing) = refined(camera, pose, candidates);
     // What the other one shows lies on its epipolar line already.
@@ -346,17 +367,20 @@ fn refined<'a>(
     mut pose: Pose<f64>,
     candidates: &[Candidate<'a>],
 ) -> (Pose<f64>, Vec<Candidate<'a>>) {
-    let mut agreeing_before = agreeing(camera, &pose, candidates);
+    let mut most = agreeing(camera, &pose, candidates);
     for _ in 0..MAX_REFINEMENTS {
-        pose = refine_pnp(camera, pose, &matches(&agreeing_before), LOSS_WIDTH);
-        let agreeing_now = agreeing(camera, &pose, candidates);
-        let is_stable = agreeing_now.len() <= agreeing_before.len();
-        agreeing_before = agreeing_now;
+        let adjusted = refine_pnp(camera, pose, &matches(&most), LOSS_WIDTH);
+        let now = agreeing(camera, &adjusted, candidates);
+        if now.len() < most.len() {
+            break;
+        }
+        let is_stable = now.len() == most.len();
+        (pose, most) = (adjusted, now);
         if is_stable {
             break;
         }
     }
-    (pose, agreeing_before)
+    (pose, most)
 }
 
 /// Candidates that agree with a pose, one of each feature.
