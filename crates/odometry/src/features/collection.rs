@@ -342,7 +342,7 @@ mod tests {
     use super::*;
     use crate::fixtures::moved_blobs;
 
-    /// Points tracked and seen before of frames in random order, of a fast film, and of one cut twice.
+    /// Points tracked and seen before, as in frames in random order, in a fast film, and in one cut twice.
     #[test]
     fn pictures_that_lose_most_points_again_and_again_are_photographs() {
         let shuffled = [
