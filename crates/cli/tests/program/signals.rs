@@ -49,11 +49,36 @@ fn leaves_a_result(signal: &str) {
 #[test]
 fn ctrl_c_during_the_search_leaves_no_folder() {
     let footage = Footage::new("interrupt-search");
-    let video = footage.video("walk.mp4", &views(300, 0.03));
+    // Of a camera at rest there is no path.
+    let video = footage.video("rest.mp4", &views(300, 0.0));
     let mut running = Running::start(&mut footage.quick("out", &video, &["--threads", "1"]));
     running.until("tracking points");
     running.interrupted().exits_with(130).stderr_contains("ended before the path");
     assert!(!footage.scratch.join("out").exists());
+}
+
+#[test]
+fn ctrl_c_while_frames_are_tracked_keeps_their_path() {
+    let footage = Footage::new("interrupt-tracking");
+    let (video, poses) =
+        (footage.video("walk.mp4", &views(300, 0.03)), footage.scratch.join("poses"));
+    let to = poses.to_str().expect("a name");
+    let flags = ["--threads", "1", "--fov", "63.2", "--poses", to];
+    let running = Running::start(&mut footage.quick("out", &video, &flags));
+    let begun = Instant::now();
+    while rows_so_far(&poses) < 4 && begun.elapsed() < Duration::from_secs(60) {
+        sleep(Duration::from_millis(20));
+    }
+    let ran = running.interrupted().exits_with(130).stderr_contains("writing what there is");
+    ran.stderr_contains("neither exposure nor motion blur");
+    let tracked = rows(&footage.scratch.join("out/trajectory.txt"));
+    assert!((4..300).contains(&tracked), "{tracked}");
+}
+
+/// Lines of poses in a file that is being written.
+fn rows_so_far(poses: &Path) -> usize {
+    let is_pose = |line: &&str| !line.starts_with('#');
+    fs::read_to_string(poses).map_or(0, |text| text.lines().filter(is_pose).count())
 }
 
 /// An earlier result that is complete stays where it is; the path that was found goes beside it.
@@ -100,7 +125,7 @@ fn ctrl_c_keeps_the_path_and_the_earlier_result() {
     }
 }
 
-/// Frames that came are in the result, with the map of those that were mapped.
+/// All frames are in the result, with the map of those that were mapped.
 #[test]
 fn ctrl_c_while_frames_are_mapped_keeps_path_and_map() {
     let scratch = TemporaryFolder::new("interrupt-online");
@@ -109,13 +134,13 @@ fn ctrl_c_while_frames_are_mapped_keeps_path_and_map() {
     let clip = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/demo");
     let paths = [&clip, Path::new("--out"), &out, Path::new("--config"), &slow];
     let mut running = Running::start(&mut program(["run".as_ref()].into_iter().chain(paths)));
-    running.until("tracking and mapping");
+    running.until("mapping frames");
     sleep(Duration::from_secs(2));
     let ran = running.interrupted().exits_with(130);
     ran.stderr_contains("writing what there is")
         .stderr_contains("neither exposure nor motion blur");
     assert!(rows(&out.join("trajectory.txt")) > 1);
-    // On a busy machine no frame may be mapped by then.
+    // On a busy machine no frame is mapped by then.
     let is_mapped = number(&out.join("metrics.json"), "gaussians").is_some_and(|count| count > 0.0);
     let drawn = i2slam!("render", out, "--frames", "0..1");
     match is_mapped {

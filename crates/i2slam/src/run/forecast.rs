@@ -1,6 +1,6 @@
 //! Duration of a run, extrapolated from its first frames, and anew when all are tracked.
 
-use crate::config::Config;
+use crate::config::{Config, MapKind};
 use crate::session::RuntimeEstimate;
 use i2slam_dataset::Sequence;
 use std::time::Instant;
@@ -24,9 +24,6 @@ const PHOTOGRAPH_PARTS: [f64; 3] = [1.0, 4.8, 2.6];
 
 /// Part of the pairs of photographs, one in so many, after whose matching a forecast is made.
 const MATCHED_ONE_IN: usize = 8;
-
-/// Share of the time so far that tracking took at least, where frames are mapped beside it.
-const MIN_TRACKING: f64 = 0.3;
 
 /// Relative change of a forecast that is worth telling: a later part of a sequence may have more keyframes.
 const MIN_CHANGE: f64 = 0.15;
@@ -53,9 +50,9 @@ pub(super) struct Forecaster {
     config: Config,
     sequence: Sequence,
     started: Instant,
-    /// True if frames are mapped while they come.
-    is_online: bool,
-    /// Measured before frames came where they are mapped while they come, else with the first forecast.
+    /// True if depth is measured.
+    has_depth: bool,
+    /// Measured with the first forecast.
     pace: Option<RuntimeEstimate>,
     /// Set once photographs are matched.
     photographs: Option<Photographs>,
@@ -73,30 +70,17 @@ struct Photographs {
 }
 
 impl Forecaster {
-    /// For a run that begins now, and maps frames after the last one.
+    /// For a run that begins now.
     pub(super) fn new(config: &Config, sequence: &Sequence) -> Self {
         let (config, sequence) = (config.clone(), sequence.clone());
-        let started = Instant::now();
-        let (is_online, pace, photographs, last) = (false, None, None, None);
-        Self { config, sequence, started, is_online, pace, photographs, last }
-    }
-
-    /// For a run that begins now, and maps frames while they come.
-    pub(super) fn of_online(config: &Config, sequence: &Sequence) -> Self {
-        let mut forecaster = Self::new(config, sequence);
-        forecaster.pace = forecaster.measure(false);
-        Self { started: Instant::now(), is_online: true, ..forecaster }
+        let (started, has_depth) = (Instant::now(), sequence.frames_with_depth() > 0);
+        let (pace, photographs, last) = (None, None, None);
+        Self { config, sequence, started, has_depth, pace, photographs, last }
     }
 
     /// The forecast, as soon as enough of the pictures were tracked and, if it has changed, when all were:
-    /// `done`, of which `keyframes` became keyframes, and `mapped` were mapped meanwhile. Does a little of
-    /// everything to time it.
-    pub(super) fn after(
-        &mut self,
-        done: usize,
-        keyframes: usize,
-        mapped: usize,
-    ) -> Option<RuntimeForecast> {
+    /// `done`, of which `keyframes` became keyframes. Does a little of everything to time it.
+    pub(super) fn after(&mut self, done: usize, keyframes: usize) -> Option<RuntimeForecast> {
         let frames = self.sequence.len();
         let is_second = self.last.is_some();
         let due = if is_second { frames } else { SAMPLE_FRAMES.min(frames) };
@@ -107,10 +91,10 @@ impl Forecaster {
         let keyframes = (keyframes * frames).div_ceil(done);
         let pace = self.pace.or_else(|| self.measure(false))?;
         self.pace = Some(pace);
-        let mapped_frames = if self.is_online { frames } else { keyframes };
-        let mapping = pace.mapping(&self.config, keyframes, mapped_frames);
-        let mapped = mapping * mapped as f64 / frames as f64;
-        let path = path_seconds((elapsed, mapped), (done, frames), self.is_online);
+        let maps_between = self.has_depth && self.config.map.kind == MapKind::Gaussian;
+        let mapped = if maps_between { frames } else { keyframes };
+        let mapping = pace.mapping(&self.config, keyframes, mapped);
+        let path = path_seconds(elapsed, (done, frames), self.has_depth);
         let seconds = path + mapping + pace.finish(&self.config, keyframes, frames);
         let is_news = self.last.is_none_or(|last| (seconds / last).ln().abs() > MIN_CHANGE);
         self.last = Some(seconds);
@@ -158,15 +142,9 @@ impl Forecaster {
     }
 }
 
-/// Time of finding the path of all `frames` [s], of which `done` were tracked in `elapsed`, `mapped` of it
-/// for mapping beside them: both use all cores, so that their times add up.
-fn path_seconds(
-    (elapsed, mapped): (f64, f64),
-    (done, frames): (usize, usize),
-    has_depth: bool,
-) -> f64 {
-    let tracked = (elapsed - mapped).max(MIN_TRACKING * elapsed);
-    (1.0 + ADJUSTMENT[usize::from(has_depth)]) * tracked * frames as f64 / done as f64
+/// Time of finding the path of all `frames` [s], of which `done` were tracked in `elapsed`.
+fn path_seconds(elapsed: f64, (done, frames): (usize, usize), has_depth: bool) -> f64 {
+    (1.0 + ADJUSTMENT[usize::from(has_depth)]) * elapsed * frames as f64 / done as f64
 }
 
 #[cfg(test)]
@@ -175,10 +153,8 @@ mod tests {
 
     #[test]
     fn the_path_takes_tracking_and_adjustment() {
-        // 4 s of 10 were mapping: 6 s for 20 of 50 frames, and the adjustment in proportion.
-        assert!((path_seconds((10.0, 4.0), (20, 50), true) - 4.5 * 15.0).abs() < 1e-9);
-        assert!((path_seconds((10.0, 0.0), (20, 50), false) - 1.65 * 25.0).abs() < 1e-9);
-        let least = path_seconds((10.0, 30.0), (20, 50), false);
-        assert!((least - 1.65 * 7.5).abs() < 1e-9, "mapping took less than was expected");
+        // 6 s for 20 of 50 frames, and the adjustment in proportion.
+        assert!((path_seconds(6.0, (20, 50), true) - 4.5 * 15.0).abs() < 1e-9);
+        assert!((path_seconds(10.0, (20, 50), false) - 1.65 * 25.0).abs() < 1e-9);
     }
 }

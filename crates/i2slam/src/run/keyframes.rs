@@ -6,7 +6,6 @@ use super::driver::{BetweenFrames, Input, Item, KEYFRAMES};
 use super::error::RunError;
 use super::forecast::Forecaster;
 use super::observer::{Observer, RunContext, Stage};
-use super::online;
 use super::preview::MapPreview;
 use super::stream::TrackedFrames;
 use crate::config::{HoldOut, MapKind, TrackingMethod};
@@ -82,14 +81,10 @@ pub(super) fn from_odometry(
     context: &RunContext,
 ) -> Result<Input<'static>, RunError> {
     let size = (sequence.camera.width, sequence.camera.height);
-    let of_sequence = (sequence.frames_with_depth() > 0, sequence.camera_is_guess);
     let FoundPath { source, mapped } = match tracked {
         Some(TrackedFrames::Mapped(frames)) => frames.into_path(sequence, context)?,
         Some(TrackedFrames::Unmapped(pictures)) => {
             find_path(sequence, (estimate_distortion, Some(*pictures)), options, context)?
-        }
-        None if online::is_possible(options, of_sequence) => {
-            online::find_path(sequence, options, context)?
         }
         None => find_path(sequence, (estimate_distortion, None), options, context)?,
     };
@@ -150,7 +145,7 @@ pub(super) fn from_odometry(
 }
 
 /// Finds the path of the camera in the pictures at [`odometry_size`], as they were recorded, unless
-/// they were `tracked` already.
+/// they were `tracked` already; after cancellation the path so far, if there is one.
 fn find_path(
     sequence: &Sequence,
     (estimate_distortion, tracked): (bool, Option<TrackedPictures>),
@@ -233,7 +228,7 @@ fn odometry_progress(
         let Some((forecaster, is_unordered)) = forecaster.as_mut() else { return };
         let forecast = match stage {
             keyframes::Stage::Tracking { keyframes } if !is_unordered.load(Ordering::Relaxed) => {
-                forecaster.after(done, keyframes, 0)
+                forecaster.after(done, keyframes)
             }
             keyframes::Stage::Matching => forecaster.after_pairs(done, of),
             _ => None,

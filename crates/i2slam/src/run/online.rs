@@ -3,8 +3,7 @@
 use super::RunOptions;
 use super::driver::{KEYFRAMES, new_session};
 use super::error::RunError;
-use super::forecast::Forecaster;
-use super::keyframes::{FoundPath, ODOMETRY_SIDE, avoided_keyframes, picture};
+use super::keyframes::{FoundPath, ODOMETRY_SIDE, picture};
 use super::observer::{Observer, RunContext, Stage};
 use crate::config::{MapKind, TrackingMethod};
 use crate::keyframes::{
@@ -15,15 +14,13 @@ use crate::reconstruction::{FrameEstimate, Reconstruction};
 use crate::session::{MappedFrames, OnlineMapping, OnlineSession, OnlineUpdate, SessionError};
 use i2slam_dataset::{Frame, Sequence};
 use i2slam_geometry::StampedPose;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex};
 
-/// Frames and corrections that wait for the map at most.
-const MAX_WAITING: usize = 32;
-
-/// True if frames of a source with depth and a known camera are mapped while they come; others are
-/// mapped after the last one. By colour alone depth is estimated with poses, and those known when a
-/// frame comes are not good enough: 6 dB on dining-room.
+/// True if frames of a stream with depth and a known camera are mapped while they come. Others are mapped
+/// after the last one: by colour alone depth is estimated with poses, and those known when a frame comes
+/// are not good enough (6 dB on dining-room). So are those of files, which nobody waits for: the delay and
+/// offset of depth and the readout are known exactly only then, and what was mapped with others is lost.
 pub(super) fn is_possible(options: &RunOptions, (has_depth, is_guess): (bool, bool)) -> bool {
     let config = &options.config;
     options.poses.uses_depth()
@@ -35,30 +32,6 @@ pub(super) fn is_possible(options: &RunOptions, (has_depth, is_guess): (bool, bo
 
 /// Logarithm of the ratio of frame rates up to which a map counts on the right one.
 const MAX_RATE_CHANGE: f64 = 0.2;
-
-/// Finds the path of the camera, and maps frames while they come. After cancellation the path so far,
-/// with what was mapped.
-pub(super) fn find_path(
-    sequence: &Sequence,
-    options: &RunOptions,
-    context: &RunContext,
-) -> Result<FoundPath, RunError> {
-    let large = sequence.at_least(ODOMETRY_SIDE);
-    let forecaster = Forecaster::of_online(&options.config, sequence);
-    let mut frames = OnlineFrames::start((sequence, &large), options, context);
-    frames.session.set_hold_out(avoided_keyframes(options, Some(sequence)));
-    let progress = forecasting_progress(context, forecaster, Arc::clone(&frames.mapped));
-    let is_one_size = large.camera == sequence.camera;
-    let given = GivenPictures::give(sequence.len(), &progress, |place| {
-        let tracked = picture(&large, place)?;
-        let mapped = if is_one_size { tracked.clone() } else { picture(sequence, place)? };
-        frames.session.wait_for_map(MAX_WAITING);
-        let update = frames.session.push_sizes(&tracked, mapped)?;
-        update.stamped_pose().iter().for_each(|pose| context.observer.pose(pose));
-        Ok(update.is_keyframe)
-    });
-    OnlineFrames { given, ..frames }.into_path(sequence, context)
-}
 
 /// Frames that are mapped while they come.
 pub(super) struct OnlineFrames {
@@ -101,7 +74,7 @@ impl OnlineFrames {
             }
             Some(_) => {}
         }
-        let pushed = self.session.push_from_camera(&tracked, mapped);
+        let pushed = self.session.push_in_sizes(&tracked, mapped);
         let pose = pushed.as_ref().ok().and_then(OnlineUpdate::stamped_pose);
         let pushed = pushed.map(|update| update.is_keyframe).map_err(PictureError::from);
         self.given.add(position, pushed);
@@ -156,12 +129,23 @@ fn finish_mapping(
         context.observer.note("depth gave lengths no unit when frames came: they are mapped again");
         return None;
     }
+    // A new map is as good, and frames that still wait need not be mapped for it.
+    if mapping.is_outdated(path) && !context.cancellation.is_cancelled() {
+        note_outdated("all frames are", context);
+        return None;
+    }
     let failure = match mapping.finish(path.clone()) {
         Ok(mut mapped) => {
             let is_map = |error: &SessionError| matches!(error, SessionError::Map { .. });
             match mapped.errors.iter().position(is_map) {
                 None => {
-                    note_outdated(mapped.outdated, context);
+                    let outdated = mapped.outdated;
+                    if outdated > 0 && !context.cancellation.is_cancelled() {
+                        let one = "one frame is".to_owned();
+                        let frames =
+                            if outdated == 1 { one } else { format!("{outdated} frames are") };
+                        note_outdated(&frames, context);
+                    }
                     return Some(mapped);
                 }
                 Some(place) => mapped.errors.swap_remove(place).to_string(),
@@ -174,14 +158,11 @@ fn finish_mapping(
 }
 
 /// Tells why frames that are in the map are mapped a second time.
-fn note_outdated(frames: usize, context: &RunContext) {
-    if frames > 0 && !context.cancellation.is_cancelled() {
-        context.observer.note(&format!(
-            "the rolling shutter, or the delay or offset of depth, is known exactly only after the last \
-             frame: {} mapped again",
-            if frames == 1 { "one frame is".to_owned() } else { format!("{frames} frames are") }
-        ));
-    }
+fn note_outdated(frames: &str, context: &RunContext) {
+    context.observer.note(&format!(
+        "the rolling shutter, or the delay or offset of depth, is known exactly only after the last \
+         frame: {frames} mapped again"
+    ));
 }
 
 /// Number of frames that were mapped, of all that will be as far as is known.
@@ -210,23 +191,6 @@ fn listener(
         observer.frame(estimate, done, mapped.total.load(Ordering::Relaxed).max(done));
         observer.map(current);
     }
-}
-
-/// Passes the progress of visual odometry on, and a forecast as soon as there is one.
-fn forecasting_progress(
-    context: &RunContext,
-    forecaster: Forecaster,
-    mapped: Arc<MappedCount>,
-) -> OdometryProgress {
-    let observer: Arc<dyn Observer> = Arc::clone(&context.observer);
-    let (passed_on, forecaster) = (progress(context), Mutex::new(forecaster));
-    OdometryProgress::new(context.cancellation.clone(), move |stage, done, of| {
-        passed_on.report(stage, done, of);
-        let keyframes::Stage::Tracking { keyframes } = stage else { return };
-        let Ok(mut forecaster) = forecaster.lock() else { return };
-        let forecast = forecaster.after(done, keyframes, mapped.done());
-        forecast.iter().for_each(|forecast| observer.forecast(forecast));
-    })
 }
 
 /// Passes the progress of visual odometry on.

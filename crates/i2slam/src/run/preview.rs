@@ -1,5 +1,5 @@
-//! A map by colour alone while frames come, for those who follow the run. That of the result is made
-//! after the last frame, when depth is estimated with the final poses.
+//! A map while frames come, for those who follow the run. That of the result is made after the last
+//! frame, with the final poses.
 
 use super::RunOptions;
 use super::camera::is_focal_length_changed;

@@ -32,6 +32,21 @@ pub struct TrackedStream {
     timestamps: Vec<(f64, Option<f64>)>,
 }
 
+/// Frames of a stream.
+struct Source<'a> {
+    /// Its first frame, in the size that is mapped and in the one that is tracked.
+    first: &'a Sequence,
+    large: &'a Sequence,
+    has_depth: bool,
+}
+
+impl Source<'_> {
+    /// True if frames are mapped while they come, as part of the result.
+    fn is_mapped(&self, options: &RunOptions) -> bool {
+        online::is_possible(options, (self.has_depth, self.first.camera_is_guess))
+    }
+}
+
 /// Frames that a front end was given.
 pub(super) enum TrackedFrames {
     /// To be mapped when the path of all is known.
@@ -63,12 +78,34 @@ impl TrackedStream {
             return Ok(Self::untracked());
         }
         let context = RunContext::new(observer);
-        let camera = intrinsics(&large, estimate_distortion);
-        let is_mapped = online::is_possible(options, (live.has_depth(), first.camera_is_guess));
+        let source = Source { first, large: &large, has_depth: live.has_depth() };
+        let is_mapped = source.is_mapped(options) || context.observer.follows_map();
+        // Decoded twice where a map is made of smaller pictures.
+        let smaller = match is_mapped && large.camera != first.camera {
+            true => Some(live.frames(first)?),
+            false => None,
+        };
+        let frames = (live.frames(&large)?, smaller);
+        Ok(Self::of_frames(&source, frames, (options, estimate_distortion), &context))
+    }
+
+    /// Tracks frames in the size that is tracked until they end; others are the same in the size that is
+    /// mapped, where it is another one.
+    fn of_frames(
+        source: &Source<'_>,
+        (frames_tracked, mut smaller): (
+            impl Iterator<Item = Frame>,
+            Option<impl Iterator<Item = Frame>>,
+        ),
+        (options, estimate_distortion): (&RunOptions, bool),
+        context: &RunContext,
+    ) -> Self {
+        let Source { first, large, has_depth } = *source;
+        let camera = intrinsics(large, estimate_distortion);
+        let is_mapped = source.is_mapped(options);
         let mut frames = match is_mapped {
             true => {
-                let sizes = (first, &large);
-                let frames = OnlineFrames::start(sizes, options, &context);
+                let frames = OnlineFrames::start((first, large), options, context);
                 TrackedFrames::Mapped(Box::new(frames))
             }
             false => {
@@ -78,14 +115,11 @@ impl TrackedStream {
         };
         let mut preview = match is_mapped {
             true => None,
-            false => MapPreview::start((first, live.has_depth()), options, &context),
+            false => MapPreview::start((first, has_depth), options, context),
         };
-        // Decoded twice where the map is made of smaller pictures.
-        let is_one_size = (!is_mapped && preview.is_none()) || large.camera == first.camera;
-        let mut smaller = if is_one_size { None } else { Some(live.frames(first)?) };
         let mut timestamps = Vec::new();
         let mut focal_length = large.camera.fx;
-        for (position, tracked) in live.frames(&large)?.enumerate() {
+        for (position, tracked) in frames_tracked.enumerate() {
             let stamps = timestamps_of(&tracked);
             let mapped = match &mut smaller {
                 Some(smaller) => smaller.next().filter(|mapped| timestamps_of(mapped) == stamps),
@@ -114,7 +148,7 @@ impl TrackedStream {
             pose.iter().for_each(|pose| context.observer.pose(pose));
             context.observer.progress(frames.stage(), position + 1, 0);
         }
-        Ok(Self { frames: Some(frames), timestamps })
+        Self { frames: Some(frames), timestamps }
     }
 
     fn untracked() -> Self {
@@ -184,3 +218,6 @@ impl TrackedFrames {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

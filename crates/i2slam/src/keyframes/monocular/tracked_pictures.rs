@@ -7,7 +7,7 @@ use i2slam_dataset::Frame;
 use i2slam_geometry::{Camera, Pose};
 use i2slam_odometry::{
     DepthPicture, FrameUpdate, FrontEnd, Intrinsics, OdometryError, Progress as OdometryProgress,
-    Stage,
+    Reconstruction, Stage,
 };
 
 /// Positions of pictures that a front end was given.
@@ -112,7 +112,8 @@ impl TrackedPictures {
         Ok(update)
     }
 
-    /// Finds the path of all pictures; `load` reads those of keyframes again, in order.
+    /// Finds the path of all pictures, that of a film so far once `progress` is cancelled; `load` reads those of
+    /// keyframes again, in order.
     pub(crate) fn finish<L>(
         self,
         load: L,
@@ -121,7 +122,14 @@ impl TrackedPictures {
     where
         L: FnMut(usize) -> Result<Frame, PictureError>,
     {
-        self.finish_near(&[], load, progress)
+        let so_far = self.front_end.path_so_far(None);
+        let is_path = !self.front_end.is_unordered() && so_far.poses.iter().any(Option::is_some);
+        let (given, found) = self.find_path(&[], progress);
+        let found = match found {
+            Err(OdometryError::Cancelled) if is_path => Ok(so_far),
+            found => found,
+        };
+        source(found, given, load)
     }
 
     /// Finds the path of all pictures from approximate `poses` by position, if there are any; `load` reads
@@ -135,20 +143,35 @@ impl TrackedPictures {
     where
         L: FnMut(usize) -> Result<Frame, PictureError>,
     {
+        let (given, found) = self.find_path(poses, progress);
+        source(found, given, load)
+    }
+
+    fn find_path(
+        self,
+        poses: &[Pose<f64>],
+        progress: &OdometryProgress,
+    ) -> (GivenPictures, Result<Reconstruction, OdometryError>) {
         let Self { front_end, given, .. } = self;
-        let found = match progress.is_cancelled() {
-            true => Err(OdometryError::Cancelled),
-            false => {
-                let of_accepted = given.positions.iter().map(|place| poses.get(*place).copied());
-                let poses: Vec<_> =
-                    if poses.is_empty() { Vec::new() } else { of_accepted.collect() };
-                front_end.finish_near(&poses, progress.clone())
-            }
-        };
-        match found {
-            Ok(path) => Ok(MonocularSource::of_path(in_usual_unit(path), given, load)),
-            Err(failure) => Err(MonocularError::NoPath { failure, refused: given.refused }),
+        if progress.is_cancelled() {
+            return (given, Err(OdometryError::Cancelled));
         }
+        let of_accepted = given.positions.iter().map(|place| poses.get(*place).copied());
+        let poses: Vec<_> = if poses.is_empty() { Vec::new() } else { of_accepted.collect() };
+        let found = front_end.finish_near(&poses, progress.clone());
+        (given, found)
+    }
+}
+
+/// Keyframes of a path through pictures that were given to the front end.
+fn source<L: FnMut(usize) -> Result<Frame, PictureError>>(
+    found: Result<Reconstruction, OdometryError>,
+    given: GivenPictures,
+    load: L,
+) -> Result<MonocularSource<L>, MonocularError> {
+    match found {
+        Ok(path) => Ok(MonocularSource::of_path(in_usual_unit(path), given, load)),
+        Err(failure) => Err(MonocularError::NoPath { failure, refused: given.refused }),
     }
 }
 

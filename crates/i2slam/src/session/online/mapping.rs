@@ -310,6 +310,11 @@ impl OnlineMapping {
         Ok(MappedFrames { session, path, current, outdated, hold_out, errors })
     }
 
+    /// True if rows or depth of most frames in the map are elsewhere on the final path.
+    pub(crate) fn is_outdated(&self, path: &Reconstruction) -> bool {
+        2 * self.current(path).len() < self.sent.len()
+    }
+
     /// Frames in the map with rows and depth where the final path has them.
     fn current(&self, path: &Reconstruction) -> BTreeSet<usize> {
         let path = path.clone().resized(self.size.0, self.size.1);

@@ -10,7 +10,7 @@ pub(crate) use mapping::{MappedFrames, OnlineMapping};
 pub use queue::MappingPanicked;
 
 use super::Session;
-use crate::config::{Config, HoldOut};
+use crate::config::Config;
 use crate::keyframes::{OdometryProgress, OdometryReconstruction};
 use crate::reconstruction::{FrameEstimate, Reconstruction};
 use i2slam_dataset::Frame;
@@ -119,11 +119,6 @@ impl OnlineSession {
         self.mapping.session().set_valid_mask(valid_mask);
     }
 
-    /// Replaces what is held out, before the first frame.
-    pub(crate) fn set_hold_out(&mut self, hold_out: HoldOut) {
-        self.mapping.set_hold_out(hold_out);
-    }
-
     /// Sets the frame rate [1/s] before the second frame, with which the first is sent to the map.
     pub(crate) fn set_frame_rate(&mut self, frame_rate: f64) {
         self.mapping.session().set_frame_rate(frame_rate);
@@ -141,27 +136,17 @@ impl OnlineSession {
     /// A frame that does not fit the camera, or whose time stamp does not follow: the session stays
     /// as it was.
     pub fn push(&mut self, frame: Frame) -> Result<OnlineUpdate, PictureError> {
-        self.push_from_camera(&frame.clone(), frame)
+        self.push_in_sizes(&frame.clone(), frame)
     }
 
     /// [`push`](Self::push) of a frame in the sizes that are tracked and mapped.
-    pub(crate) fn push_from_camera(
+    pub(crate) fn push_in_sizes(
         &mut self,
         tracked: &Frame,
         mapped: Frame,
     ) -> Result<OnlineUpdate, PictureError> {
         let tracking = Arc::clone(&self.tracking);
         let _held = tracking.lock().unwrap_or_else(PoisonError::into_inner);
-        self.push_sizes(tracked, mapped)
-    }
-
-    /// [`push_from_camera`](Self::push_from_camera) of a frame from a file, which the map does not wait
-    /// for.
-    pub(crate) fn push_sizes(
-        &mut self,
-        tracked: &Frame,
-        mapped: Frame,
-    ) -> Result<OnlineUpdate, PictureError> {
         let (index, timestamp) = (tracked.index, tracked.timestamp);
         let depth = tracked
             .depth
