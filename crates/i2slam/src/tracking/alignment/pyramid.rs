@@ -9,8 +9,10 @@ use std::sync::Arc;
 
 /// Least opacity at which the rendered map has a surface.
 const MIN_OPACITY: f32 = 0.95;
-/// Distance of samples on the finest level [px]; coarser levels use every pixel.
+/// Least distance of samples on the finest level [px].
 const FINEST_STRIDE: usize = 2;
+/// Samples of a level at most, about: those of large pictures tell nothing new of the few unknowns.
+const MAX_SAMPLES: f64 = 20_000.0;
 
 /// The observed frame, its colour without vignetting, at `levels` sizes, finest first.
 pub(super) fn frame_levels(
@@ -18,12 +20,20 @@ pub(super) fn frame_levels(
     (colour, depth): (Arc<Image<f32>>, &Arc<Image<f32>>),
     levels: usize,
 ) -> Vec<FrameLevel> {
-    let finest = FrameLevel::new(camera.cast(), colour, Arc::clone(depth), FINEST_STRIDE);
+    let finest_stride = stride(depth).max(FINEST_STRIDE);
+    let finest = FrameLevel::new(camera.cast(), colour, Arc::clone(depth), finest_stride);
     halve_repeatedly(finest, levels, |fine| {
         let colour = halved_by_mean(&fine.colour);
         let camera = halved_camera(&fine.camera, &colour);
-        FrameLevel::new(camera, colour, halved_depth(&fine.depth), 1)
+        let depth = halved_depth(&fine.depth);
+        let stride = stride(&depth);
+        FrameLevel::new(camera, colour, depth, stride)
     })
+}
+
+/// Distance of samples with which a level has at most [`MAX_SAMPLES`], about [px].
+fn stride(depth: &Image<f32>) -> usize {
+    ((depth.pixels() as f64 / MAX_SAMPLES).sqrt().round() as usize).max(1)
 }
 
 /// A render of the map at `levels` sizes, finest first.
