@@ -170,6 +170,21 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
         self
     }
 
+    /// Matches photographs for the dense depth of the first one, which is confirmed by that of all around it.
+    /// `on_matched` is told how many of them are done.
+    #[must_use]
+    pub(crate) fn with_photographs_matched(mut self, on_matched: impl Fn(usize, usize)) -> Self {
+        let Self { reconstruction: found, reader, dense, .. } = &mut self;
+        let Some(dense) = dense.as_mut().filter(|_| found.is_unordered) else { return self };
+        let count = found.keyframes.len().min(MAX_PHOTOGRAPH_DISTANCE + 1);
+        for number in 0..count {
+            on_matched(number, count);
+            dense.prepare(number, &mut |k| pictures_of(found, reader, k));
+        }
+        on_matched(count, count);
+        self
+    }
+
     /// Delivers photographs with their motions during the exposure. Frames of a film are delivered without:
     /// their motion is predicted from the frames around them.
     #[must_use]

@@ -129,7 +129,9 @@ pub(super) fn from_odometry(
         true => source.with_photograph_motions(&context.cancellation),
         false => source,
     };
-    let source = Box::new(source.with_dense_depth(context.cancellation.clone()));
+    let on_matched = |done, of| context.observer.progress(Stage::DenseDepth, done, of);
+    let source = source.with_dense_depth(context.cancellation.clone());
+    let source = Box::new(source.with_photographs_matched(on_matched));
     Ok(Input {
         between,
         path,

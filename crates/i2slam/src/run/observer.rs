@@ -16,6 +16,8 @@ pub enum Stage {
     Odometry(keyframes::Stage),
     /// Visual odometry and mapping of frames while they come; counts tracked frames.
     Online,
+    /// Dense depth of photographs, before they are mapped; counts photographs.
+    DenseDepth,
     /// Tracking and mapping of frames with depth; counts frames.
     Frames,
     /// Mapping of keyframes; counts keyframes.
@@ -41,6 +43,7 @@ impl Stage {
             Self::Odometry(keyframes::Stage::RollingShutter) => "measuring the rolling shutter",
             Self::Odometry(keyframes::Stage::LoopClosure) => "closing loops",
             Self::Online => "tracking and mapping",
+            Self::DenseDepth => "estimating depth",
             Self::Frames => "frames",
             Self::Keyframes => "keyframes",
             Self::Mapping => "mapping frames",

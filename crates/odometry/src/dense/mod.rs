@@ -199,6 +199,18 @@ impl DenseDepthEstimator {
         depth
     }
 
+    /// Matches keyframe `index` with others, as [`estimate`](Self::estimate) of it and of those around it does
+    /// unless it was done before. `load` as for it.
+    pub fn prepare(
+        &mut self,
+        index: usize,
+        load: &mut dyn FnMut(usize) -> Option<KeyframePictures>,
+    ) {
+        if index < self.views.len() {
+            self.ensure_estimate(index, load);
+        }
+    }
+
     /// Measured depth of a frame between keyframes, at `world_from_camera` and near keyframe `near`,
     /// averaged with that of keyframes, without readings that pictures are known to contradict; holes
     /// stay. `load` as for [`estimate`](Self::estimate). `None` without a model of the sensor.
