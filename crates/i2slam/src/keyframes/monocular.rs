@@ -98,8 +98,8 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
         mut load: L,
         progress: &OdometryProgress,
     ) -> Result<Self, MonocularError> {
-        let intrinsics = (intrinsics, HoldOut::default());
-        TrackedPictures::track(intrinsics, count, &mut load, progress, |_, _, _| {})
+        TrackedPictures::new(intrinsics, HoldOut::default())
+            .track(count, &mut load, progress, |_, _, _| {})
             .finish_near(poses, load, progress)
     }
 

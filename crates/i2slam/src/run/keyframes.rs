@@ -14,7 +14,7 @@ use crate::keyframes::{
     MonocularSource, OdometryError, OdometryProgress, OdometryWarning, PictureError, RefinedImport,
     TrackedPictures, import,
 };
-use crate::session::MappedFrames;
+use crate::session::{MappedFrames, scratch_store};
 use crate::warning::Warning;
 use i2slam_dataset::import::ImportedKeyframes;
 use i2slam_dataset::{DepthPicture, Frame, Sequence};
@@ -176,7 +176,9 @@ fn find_path(
         };
         let intrinsics = intrinsics(&large, estimate_distortion);
         let hold_out = avoided_keyframes(options, Some(sequence));
-        TrackedPictures::track((intrinsics, hold_out), count, load, &progress, on_tracked)
+        TrackedPictures::new(intrinsics, hold_out)
+            .with_scratch(scratch_store(&options.config, &options.scratch_folder))
+            .track(count, load, &progress, on_tracked)
     };
     let load: BoxedLoader = Box::new(move |place| picture(&large, place));
     match tracked.finish(load, &progress) {

@@ -8,6 +8,7 @@ use super::online::{self, OnlineFrames};
 use super::preview::MapPreview;
 use super::{PoseSource, RunError, RunOptions, has_small_pictures};
 use crate::keyframes::{self, GivenPictures, TrackedPictures};
+use crate::session::scratch_store;
 use i2slam_dataset::{Frame, LiveSequence, Sequence};
 use i2slam_geometry::StampedPose;
 use std::sync::PoisonError;
@@ -110,7 +111,9 @@ impl TrackedStream {
             }
             false => {
                 let hold_out = avoided_keyframes(options, None);
-                TrackedFrames::Unmapped(Box::new(TrackedPictures::new(camera, hold_out)))
+                let scratch = scratch_store(&options.config, &options.scratch_folder);
+                let pictures = TrackedPictures::new(camera, hold_out).with_scratch(scratch);
+                TrackedFrames::Unmapped(Box::new(pictures))
             }
         };
         let mut preview = match is_mapped {

@@ -14,6 +14,7 @@ pub use error::SessionError;
 pub(crate) use online::{MappedFrames, OnlineMapping};
 pub use online::{MappingPanicked, OnlineError, OnlineSession, OnlineUpdate};
 pub use runtime_estimate::RuntimeEstimate;
+pub(crate) use state::scratch_store;
 
 use crate::config::{Config, MapKind, MappingConfig};
 use crate::mapping::{
@@ -28,7 +29,7 @@ use i2slam_compute::CancellationToken;
 use i2slam_geometry::{Camera, Image};
 use i2slam_radiance::hashgrid::SettingsError;
 use posed::SourcePoses;
-use state::{SessionState, scratch_store};
+use state::SessionState;
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;

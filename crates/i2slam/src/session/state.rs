@@ -149,7 +149,7 @@ pub(super) fn reconstruction(
 }
 
 /// Memory for the pictures of past frames, others in a file in a folder.
-pub(super) fn scratch_store(config: &Config, folder: &Path) -> Arc<ScratchStore> {
+pub(crate) fn scratch_store(config: &Config, folder: &Path) -> Arc<ScratchStore> {
     ScratchStore::new((PICTURE_SHARE * 1e9 * config.memory) as usize, folder)
 }
 

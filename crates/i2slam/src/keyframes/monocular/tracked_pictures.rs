@@ -9,6 +9,8 @@ use i2slam_odometry::{
     DepthPicture, FrameUpdate, FrontEnd, Intrinsics, OdometryError, Progress as OdometryProgress,
     Reconstruction, Stage,
 };
+use i2slam_storage::ScratchStore;
+use std::sync::Arc;
 
 /// Positions of pictures that a front end was given.
 #[derive(Default)]
@@ -63,6 +65,12 @@ impl TrackedPictures {
         Self { front_end: FrontEnd::new(intrinsics), hold_out, given: GivenPictures::default() }
     }
 
+    /// Bounds the memory of pictures of past frames.
+    #[must_use]
+    pub(crate) fn with_scratch(self, scratch: Arc<ScratchStore>) -> Self {
+        Self { front_end: self.front_end.with_scratch(scratch), ..self }
+    }
+
     /// Camera with which the last poses were found.
     pub(crate) fn camera(&self) -> Camera<f64> {
         self.front_end.camera()
@@ -70,21 +78,21 @@ impl TrackedPictures {
 
     /// Tracks `count` pictures, until `progress` is cancelled: `load` reads the one at a position,
     /// `on_tracked` sees what the front end makes of it.
+    #[must_use]
     pub(crate) fn track(
-        (intrinsics, hold_out): (Intrinsics, HoldOut),
+        mut self,
         count: usize,
         mut load: impl FnMut(usize) -> Result<Frame, PictureError>,
         progress: &OdometryProgress,
         mut on_tracked: impl FnMut(&FrontEnd, &FrameUpdate, &Frame),
     ) -> Self {
-        let mut tracked = Self::new(intrinsics, hold_out);
         let given = GivenPictures::give(count, progress, |position| {
             let picture = load(position)?;
-            let update = tracked.track_next(&picture)?;
-            on_tracked(&tracked.front_end, &update, &picture);
+            let update = self.track_next(&picture)?;
+            on_tracked(&self.front_end, &update, &picture);
             Ok(update.is_keyframe)
         });
-        Self { given, ..tracked }
+        Self { given, ..self }
     }
 
     /// Tracks the picture at a position. One that does not fit is refused.
