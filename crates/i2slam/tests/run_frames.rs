@@ -131,7 +131,7 @@ fn a_run_cancelled_while_the_path_is_adjusted_keeps_the_path() {
     assert_eq!(indices(&outcome), (0..FRAMES).collect::<Vec<_>>());
 }
 
-/// Held out are those that a map made after the last frame would hold out.
+/// Every fourth of all frames is held out, and never mapped.
 #[test]
 fn held_out_frames_are_drawn_once() {
     let mut options = options();

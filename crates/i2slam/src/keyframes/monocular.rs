@@ -170,18 +170,23 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
         self
     }
 
-    /// Matches photographs for the dense depth of the first one, which is confirmed by that of all around it.
-    /// `on_matched` is told how many of them are done.
+    /// Estimates depth of the first photographs, as many as confirm that of the first one at most, so that each
+    /// takes about as long as another when they are delivered. `on_estimated` is told how many are done, and
+    /// whether to go on.
     #[must_use]
-    pub(crate) fn with_photographs_matched(mut self, on_matched: impl Fn(usize, usize)) -> Self {
+    pub(crate) fn with_depth_prepared(
+        mut self,
+        on_estimated: impl Fn(usize, usize) -> bool,
+    ) -> Self {
         let Self { reconstruction: found, reader, dense, .. } = &mut self;
         let Some(dense) = dense.as_mut().filter(|_| found.is_unordered) else { return self };
         let count = found.keyframes.len().min(MAX_PHOTOGRAPH_DISTANCE + 1);
         for number in 0..count {
-            on_matched(number, count);
+            if !on_estimated(number, count) {
+                break;
+            }
             dense.prepare(number, &mut |k| pictures_of(found, reader, k));
         }
-        on_matched(count, count);
         self
     }
 

@@ -80,8 +80,13 @@ impl Forecaster {
     }
 
     /// The forecast, as soon as enough of the pictures were tracked and, if it has changed, when all were:
-    /// `done`, of which `keyframes` became keyframes. Does a little of everything to time it.
-    pub(super) fn after(&mut self, done: usize, keyframes: usize) -> Option<RuntimeForecast> {
+    /// `done`, of which `keyframes` became keyframes, while a preview of the map took `preview` [s]. Does a
+    /// little of everything to time it.
+    pub(super) fn after(
+        &mut self,
+        (done, keyframes): (usize, usize),
+        preview: f64,
+    ) -> Option<RuntimeForecast> {
         let frames = self.sequence.len();
         let is_second = self.last.is_some();
         let due = if is_second { frames } else { SAMPLE_FRAMES.min(frames) };
@@ -95,8 +100,9 @@ impl Forecaster {
         let maps_between = self.has_depth && self.config.map.kind == MapKind::Gaussian;
         let mapped = if maps_between { frames } else { keyframes };
         let mapping = pace.mapping(&self.config, keyframes, mapped);
-        let path = path_seconds(elapsed, (done, frames), self.has_depth);
-        let seconds = path + mapping + pace.finish(&self.config, keyframes, frames);
+        let path = path_seconds(elapsed - preview, (done, frames), self.has_depth);
+        let preview = preview * frames as f64 / done as f64;
+        let seconds = path + preview + mapping + pace.finish(&self.config, keyframes, frames);
         let is_news = self.last.is_none_or(|last| (seconds / last).ln().abs() > MIN_CHANGE);
         self.last = Some(seconds);
         is_news.then(|| RuntimeForecast { is_second, ..self.forecast(seconds, keyframes) })

@@ -24,8 +24,9 @@ use i2slam_storage::listed;
 use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
 use std::path::Path;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
+use std::time::Instant;
 
 /// Longer side of the pictures for visual odometry, where they were recorded so large [px]:
 /// smaller ones, which a map may be made of, locate points less exactly.
@@ -129,9 +130,12 @@ pub(super) fn from_odometry(
         true => source.with_photograph_motions(&context.cancellation),
         false => source,
     };
-    let on_matched = |done, of| context.observer.progress(Stage::DenseDepth, done, of);
+    let on_estimated = |done, of| {
+        context.observer.progress(Stage::DenseDepth, done, of);
+        !context.cancellation.is_cancelled()
+    };
     let source = source.with_dense_depth(context.cancellation.clone());
-    let source = Box::new(source.with_photographs_matched(on_matched));
+    let source = Box::new(source.with_depth_prepared(on_estimated));
     Ok(Input {
         between,
         path,
@@ -155,9 +159,9 @@ fn find_path(
     context: &RunContext,
 ) -> Result<FoundPath, RunError> {
     let large = sequence.at_least(ODOMETRY_SIDE);
-    let is_unordered = Arc::new(AtomicBool::new(false));
+    let state = Arc::<TrackingState>::default();
     let forecaster = Forecaster::new(&options.config, sequence);
-    let progress = odometry_progress(context, Some((forecaster, Arc::clone(&is_unordered))));
+    let progress = odometry_progress(context, Some((forecaster, Arc::clone(&state))));
     let count = large.len();
     let tracked = if let Some(tracked) = tracked {
         let keyframes = tracked.given.keyframes;
@@ -168,10 +172,13 @@ fn find_path(
         let mut preview =
             MapPreview::start((sequence, sequence.frames_with_depth() > 0), options, context);
         let on_tracked = |front_end: &FrontEnd, update: &FrameUpdate, tracked: &Frame| {
-            is_unordered.store(front_end.is_unordered(), Ordering::Relaxed);
+            state.is_unordered.store(front_end.is_unordered(), Ordering::Relaxed);
             stamped_pose(update, tracked).iter().for_each(|pose| context.observer.pose(pose));
             if let Some(preview) = &mut preview {
+                let started = Instant::now();
                 preview.add_from_file(front_end, update, tracked);
+                let taken = started.elapsed().as_micros() as u64;
+                state.preview_microseconds.fetch_add(taken, Ordering::Relaxed);
             }
         };
         let intrinsics = intrinsics(&large, estimate_distortion);
@@ -218,21 +225,31 @@ pub(super) fn intrinsics(sequence: &Sequence, estimate_distortion: bool) -> Intr
     }
 }
 
-/// Passes the progress of visual odometry on, and a forecast as soon as there is one, from a forecaster and
-/// whether the pictures so far are photographs.
+/// State of tracking that forecasts depend on.
+#[derive(Default)]
+struct TrackingState {
+    /// True if the pictures so far are photographs.
+    is_unordered: AtomicBool,
+    /// Time that a preview of the map took so far.
+    preview_microseconds: AtomicU64,
+}
+
+/// Passes the progress of visual odometry on, and a forecast as soon as there is one.
 fn odometry_progress(
     context: &RunContext,
-    forecaster: Option<(Forecaster, Arc<AtomicBool>)>,
+    forecaster: Option<(Forecaster, Arc<TrackingState>)>,
 ) -> OdometryProgress {
     let observer: Arc<dyn Observer> = Arc::clone(&context.observer);
     let forecaster = Mutex::new(forecaster);
     OdometryProgress::new(context.cancellation.clone(), move |stage, done, of| {
         observer.progress(Stage::Odometry(stage), done, of);
         let Ok(mut forecaster) = forecaster.lock() else { return };
-        let Some((forecaster, is_unordered)) = forecaster.as_mut() else { return };
+        let Some((forecaster, state)) = forecaster.as_mut() else { return };
+        let is_unordered = state.is_unordered.load(Ordering::Relaxed);
+        let preview = 1e-6 * state.preview_microseconds.load(Ordering::Relaxed) as f64;
         let forecast = match stage {
-            keyframes::Stage::Tracking { keyframes } if !is_unordered.load(Ordering::Relaxed) => {
-                forecaster.after(done, keyframes)
+            keyframes::Stage::Tracking { keyframes } if !is_unordered => {
+                forecaster.after((done, keyframes), preview)
             }
             keyframes::Stage::Matching => forecaster.after_pairs(done, of),
             _ => None,

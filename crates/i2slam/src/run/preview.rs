@@ -36,17 +36,25 @@ impl<'a> MapPreview<'a> {
         options: &'a RunOptions,
         context: &'a RunContext,
     ) -> Option<Self> {
-        let config = &options.config;
-        let is_late = options.poses.uses_depth() && has_depth && sequence.camera_is_guess;
-        let is_possible = context.observer.follows_map()
-            && !is_late
-            && config.tracking.method == TrackingMethod::SecondOrder
-            && config.map.kind == MapKind::Gaussian;
-        is_possible.then(|| {
+        Self::is_wanted((sequence, has_depth), options, context).then(|| {
             let (camera, tracking) = (sequence.camera, Arc::<Mutex<()>>::default());
             let mapping = mapping((sequence, camera), (options, context), &tracking);
             Self { sequence, options, context, mapping, camera, tracking }
         })
+    }
+
+    /// True if there is one.
+    pub(super) fn is_wanted(
+        (sequence, has_depth): (&Sequence, bool),
+        options: &RunOptions,
+        context: &RunContext,
+    ) -> bool {
+        let config = &options.config;
+        let is_late = options.poses.uses_depth() && has_depth && sequence.camera_is_guess;
+        context.observer.follows_map()
+            && !is_late
+            && config.tracking.method == TrackingMethod::SecondOrder
+            && config.map.kind == MapKind::Gaussian
     }
 
     /// Lock that the map waits for between two steps.
@@ -101,7 +109,10 @@ fn mapping(
     let observer: Arc<dyn Observer> = Arc::clone(&context.observer);
     let on_mapped = Box::new(move |_: &_, current: &dyn Fn() -> _| observer.map(current));
     let mut mapping = OnlineMapping::new(session, Arc::clone(tracking), on_mapped);
-    // Keyframes are frames that are not held out, as far as the front end could avoid them.
-    mapping.set_hold_out(HoldOut::default());
+    // By colour alone keyframes alone are mapped, which the front end makes of frames that are not held out,
+    // as far as it can.
+    if !options.poses.uses_depth() {
+        mapping.set_hold_out(HoldOut::default());
+    }
     mapping
 }

@@ -80,9 +80,11 @@ impl TrackedStream {
         }
         let context = RunContext::new(observer);
         let source = Source { first, large: &large, has_depth: live.has_depth() };
-        let is_mapped = source.is_mapped(options) || context.observer.follows_map();
+        let of_preview = (first, source.has_depth);
+        let makes_map =
+            source.is_mapped(options) || MapPreview::is_wanted(of_preview, options, &context);
         // Decoded twice where a map is made of smaller pictures.
-        let smaller = match is_mapped && large.camera != first.camera {
+        let smaller = match makes_map && large.camera != first.camera {
             true => Some(live.frames(first)?),
             false => None,
         };

@@ -1,7 +1,7 @@
 //! Pictures of a sequence that the front end was given.
 
 use super::super::PictureError;
-use super::{MonocularError, MonocularSource, in_usual_unit};
+use super::{MEDIAN_DEPTH, MonocularError, MonocularSource, in_usual_unit};
 use crate::config::HoldOut;
 use i2slam_dataset::Frame;
 use i2slam_geometry::{Camera, Pose};
@@ -130,14 +130,33 @@ impl TrackedPictures {
     where
         L: FnMut(usize) -> Result<Frame, PictureError>,
     {
-        let so_far = self.front_end.path_so_far(None);
-        let is_path = !self.front_end.is_unordered() && so_far.poses.iter().any(Option::is_some);
+        let so_far = self.path_so_far();
         let (given, found) = self.find_path(&[], progress);
-        let found = match found {
-            Err(OdometryError::Cancelled) if is_path => Ok(so_far),
-            found => found,
+        let found = match (found, so_far) {
+            (Err(OdometryError::Cancelled), Some(so_far)) => Ok(so_far),
+            (found, _) => found.map(in_usual_unit),
         };
         source(found, given, load)
+    }
+
+    /// The path so far of a film, from its first pose on, in metres or half the median depth of that
+    /// frame. Poses of photographs, which are registered after the last one, are not known before
+    /// without depth.
+    fn path_so_far(&self) -> Option<Reconstruction> {
+        let found = self.front_end.path_so_far(None);
+        let is_metric = found.depth_model.is_some();
+        if self.front_end.is_unordered() && !is_metric {
+            return None;
+        }
+        let first = found.poses.iter().position(Option::is_some)?;
+        let scale = match is_metric {
+            true => 1.0,
+            false => MEDIAN_DEPTH / self.front_end.path_so_far(Some(first)).median_depth()?,
+        };
+        let mut found = found.scaled(scale);
+        let world = found.poses[first]?.inverse();
+        found.transform(&world);
+        Some(found)
     }
 
     /// Finds the path of all pictures from approximate `poses` by position, if there are any; `load` reads
@@ -152,7 +171,7 @@ impl TrackedPictures {
         L: FnMut(usize) -> Result<Frame, PictureError>,
     {
         let (given, found) = self.find_path(poses, progress);
-        source(found, given, load)
+        source(found.map(in_usual_unit), given, load)
     }
 
     fn find_path(
@@ -178,7 +197,7 @@ fn source<L: FnMut(usize) -> Result<Frame, PictureError>>(
     load: L,
 ) -> Result<MonocularSource<L>, MonocularError> {
     match found {
-        Ok(path) => Ok(MonocularSource::of_path(in_usual_unit(path), given, load)),
+        Ok(path) => Ok(MonocularSource::of_path(path, given, load)),
         Err(failure) => Err(MonocularError::NoPath { failure, refused: given.refused }),
     }
 }

@@ -312,7 +312,8 @@ impl OnlineMapping {
 
     /// True if rows or depth of most frames in the map are elsewhere on the final path.
     pub(crate) fn is_outdated(&self, path: &Reconstruction) -> bool {
-        2 * self.current(path).len() < self.sent.len()
+        let is_posed = |number: &&usize| path.poses.get(**number).is_some_and(Option::is_some);
+        2 * self.current(path).len() < self.sent.keys().filter(is_posed).count()
     }
 
     /// Frames in the map with rows and depth where the final path has them.

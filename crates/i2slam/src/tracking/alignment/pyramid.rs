@@ -11,8 +11,9 @@ use std::sync::Arc;
 const MIN_OPACITY: f32 = 0.95;
 /// Least distance of samples on the finest level [px].
 const FINEST_STRIDE: usize = 2;
-/// Samples of a level at most, about: those of large pictures tell nothing new of the few unknowns.
-const MAX_SAMPLES: f64 = 20_000.0;
+/// Samples of a large level, to a factor of two: more, which are not independent, hardly change the few
+/// unknowns.
+const SAMPLES: f64 = 20_000.0;
 
 /// The observed frame, its colour without vignetting, at `levels` sizes, finest first.
 pub(super) fn frame_levels(
@@ -31,9 +32,9 @@ pub(super) fn frame_levels(
     })
 }
 
-/// Distance of samples with which a level has at most [`MAX_SAMPLES`], about [px].
+/// Distance of samples with which a level has about [`SAMPLES`], or one at every pixel [px].
 fn stride(depth: &Image<f32>) -> usize {
-    ((depth.pixels() as f64 / MAX_SAMPLES).sqrt().round() as usize).max(1)
+    ((depth.pixels() as f64 / SAMPLES).sqrt().round() as usize).max(1)
 }
 
 /// A render of the map at `levels` sizes, finest first.
@@ -59,4 +60,16 @@ fn halve_repeatedly<L>(finest: L, levels: usize, halve: impl Fn(&L) -> L) -> Vec
         all.push(next);
     }
     all
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn large_pictures_have_as_many_samples_as_those_of_half_the_size() {
+        let stride = |width, height| stride(&Image::new(width, height, 1));
+        assert_eq!([stride(640, 480), stride(320, 240), stride(160, 120)], [4, 2, 1]);
+        assert_eq!([stride(304, 224), stride(8, 6)], [2, 1]);
+    }
 }
