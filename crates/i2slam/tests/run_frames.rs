@@ -171,18 +171,23 @@ impl Observer for Follower {
 /// Frames of the clip that become keyframes by colour alone.
 const HELD_OUT: [usize; 3] = [5, 13, 17];
 
-/// With depth a map is shown while frames come to those who follow it, and nothing else changes.
-#[test]
-fn a_map_with_depth_can_be_followed() {
-    let options = options();
+/// Reconstruction without a follower of the map; one that is followed shows maps, and is the same.
+fn follow(options: &RunOptions) -> Reconstruction {
     let outcome = |follows: bool| {
         let follower = Follower { follows, ..Follower::default() };
-        let found = reconstruct(&sequence(&options), &options, follower.clone()).expect("a path");
+        let found = reconstruct(&sequence(options), options, follower.clone()).expect("a path");
         (follower.maps.load(Ordering::SeqCst), found.reconstruction)
     };
     let ((none, alone), (some, followed)) = (outcome(false), outcome(true));
     assert!(none == 0 && some > 0, "{none} and {some} maps");
     assert!(poses(&alone) == poses(&followed) && means(&alone) == means(&followed));
+    alone
+}
+
+/// With depth a map is shown while frames come to those who follow it, and nothing else changes.
+#[test]
+fn a_map_with_depth_can_be_followed() {
+    follow(&options());
 }
 
 /// By colour alone a map is shown, too. Frames that are held out are no keyframes, others are in their
@@ -191,14 +196,7 @@ fn a_map_with_depth_can_be_followed() {
 fn a_map_by_colour_alone_can_be_followed() {
     let mut options = options_of_colour();
     options.config.mapping.hold_out_frames = HELD_OUT.to_vec();
-    let outcome = |follows: bool| {
-        let follower = Follower { follows, ..Follower::default() };
-        let found = reconstruct(&sequence(&options), &options, follower.clone()).expect("a path");
-        (follower.maps.load(Ordering::SeqCst), found.reconstruction)
-    };
-    let ((none, alone), (some, followed)) = (outcome(false), outcome(true));
-    assert!(none == 0 && some > 0, "{none} and {some} maps");
-    assert!(poses(&alone) == poses(&followed) && means(&alone) == means(&followed));
+    let alone = follow(&options);
     let keyframes = |found: &Reconstruction| -> Vec<usize> {
         found.frames.iter().filter(|f| f.keyframe).map(|f| f.index).collect()
     };
