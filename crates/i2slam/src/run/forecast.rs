@@ -53,8 +53,9 @@ pub(super) struct Forecaster {
     started: Instant,
     /// True if depth is measured.
     has_depth: bool,
-    /// Measured with the first forecast.
+    /// Measured with the first forecast, in `measuring` [s].
     pace: Option<RuntimeEstimate>,
+    measuring: f64,
     /// Set once photographs are matched.
     photographs: Option<Photographs>,
     /// The last forecast [s].
@@ -75,8 +76,8 @@ impl Forecaster {
     pub(super) fn new(config: &Config, sequence: &Sequence) -> Self {
         let (config, sequence) = (config.clone(), sequence.clone());
         let (started, has_depth) = (Instant::now(), sequence.frames_with_depth() > 0);
-        let (pace, photographs, last) = (None, None, None);
-        Self { config, sequence, started, has_depth, pace, photographs, last }
+        let (pace, measuring, photographs, last) = (None, 0.0, None, None);
+        Self { config, sequence, started, has_depth, pace, measuring, photographs, last }
     }
 
     /// The forecast, as soon as enough of the pictures were tracked and, if it has changed, when all were:
@@ -93,16 +94,24 @@ impl Forecaster {
         if done < due {
             return None;
         }
-        let elapsed = self.started.elapsed().as_secs_f64();
+        let elapsed = self.started.elapsed().as_secs_f64() - self.measuring;
         let keyframes = (keyframes * frames).div_ceil(done);
-        let pace = self.pace.or_else(|| self.measure(false))?;
-        self.pace = Some(pace);
+        let pace = match self.pace {
+            Some(pace) => pace,
+            None => {
+                let clock = Instant::now();
+                let pace = self.measure(false)?;
+                self.measuring = clock.elapsed().as_secs_f64();
+                *self.pace.insert(pace)
+            }
+        };
         let maps_between = self.has_depth && self.config.map.kind == MapKind::Gaussian;
         let mapped = if maps_between { frames } else { keyframes };
         let mapping = pace.mapping(&self.config, keyframes, mapped);
         let path = path_seconds(elapsed - preview, (done, frames), self.has_depth);
         let preview = preview * frames as f64 / done as f64;
-        let seconds = path + preview + mapping + pace.finish(&self.config, keyframes, frames);
+        let after = mapping + pace.finish(&self.config, keyframes, frames);
+        let seconds = self.measuring + path + preview + after;
         let is_news = self.last.is_none_or(|last| (seconds / last).ln().abs() > MIN_CHANGE);
         self.last = Some(seconds);
         is_news.then(|| RuntimeForecast { is_second, ..self.forecast(seconds, keyframes) })
