@@ -15,7 +15,7 @@ use std::sync::Arc;
 /// Selection, size and camera of the frames.
 #[derive(Args, Clone, Debug)]
 pub(crate) struct Input {
-    /// Only frames A to B-1 of the associated stream
+    /// Only frames A to B-1, numbered from 0 in order of time as in `i2slam info` and frames.csv
     #[arg(long, value_name = "A..B", value_parser = frame_range)]
     pub(crate) frames: Option<Range<usize>>,
     /// Every N-th frame

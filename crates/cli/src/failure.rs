@@ -58,6 +58,7 @@ impl From<DatasetError> for Failure {
                 None => Self::Usage(error.to_string()),
             },
             DatasetError::MissingFolder { .. }
+            | DatasetError::Empty { .. }
             | DatasetError::UnknownLayout { .. }
             | DatasetError::UnknownImport { .. } => Self::Usage(error.to_string()),
             _ => Self::Failed(error.to_string()),

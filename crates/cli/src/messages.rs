@@ -177,14 +177,13 @@ fn rounded_duration(seconds: f64) -> String {
     }
 }
 
-/// The photographs that have no pose, and what would help; `None` if all have one.
+/// The photographs that have no pose; `None` if all have one.
 fn not_placed_line(metrics: &Metrics, files: &[String]) -> Option<String> {
     let missing = metrics.frames_given.saturating_sub(metrics.tracked);
     let named = listed(files);
     (missing > 0).then(|| {
         format!(
-            "{missing} of {} have no pose and are not in the map: {named}; add photographs from between these \
-             and the others, at most 20 degrees apart, so that each shows much of what the next one does",
+            "{missing} of {} have no pose and are not in the map: {named}",
             counted(metrics.frames_given, "photograph"),
         )
     })
@@ -293,7 +292,7 @@ mod tests {
         let files: Vec<String> = (0..10).map(|i| format!("{i}.jpg")).collect();
         let line = not_placed_line(&Metrics { tracked: 2, ..metrics }, &files).expect("ten");
         assert!(line.starts_with("10 of 12 photographs have no pose"), "{line}");
-        assert!(line.contains(": 0.jpg, 1.jpg,") && line.contains("7.jpg and 2 more;"), "{line}");
+        assert!(line.contains(": 0.jpg, 1.jpg,") && line.ends_with("7.jpg and 2 more"), "{line}");
     }
 
     #[test]

@@ -87,7 +87,7 @@ impl Phase {
     fn rest(&self, done: usize) -> String {
         let seconds = self.seconds_per_step(done) * self.total.saturating_sub(done) as f64;
         match done > 0 && self.started.elapsed() > MIN_MEASURED {
-            true => format!("  {seconds:.0} s left of these"),
+            true => format!("  {seconds:.0} s left of this step"),
             false => String::new(),
         }
     }
@@ -233,7 +233,7 @@ impl Observer for Progress {
             Display::Lines(lines) if lines.is_due() || done == total => {
                 let (name, left) = (phase.name, seconds * total.saturating_sub(done) as f64);
                 print_status(&format!(
-                    "{name} {done}/{total}  {figures}  {left:.0} s left of these"
+                    "{name} {done}/{total}  {figures}  {left:.0} s left of this step"
                 ));
             }
             Display::Lines(_) | Display::Quiet => {}
@@ -349,6 +349,6 @@ mod tests {
         let started = Instant::now() - Duration::from_secs(10);
         let phase = Phase { started, ..Phase::new("mapping frames", 30, 40) };
         assert!((phase.seconds_per_step(35) - 2.0).abs() < 0.1);
-        assert_eq!(phase.rest(35), "  10 s left of these");
+        assert_eq!(phase.rest(35), "  10 s left of this step");
     }
 }

@@ -22,6 +22,18 @@ pub(crate) fn refuse_non_results(result: &Path) -> Result<(), Failure> {
     }
 }
 
+/// Refuses a result of a run where a sequence is expected.
+pub(crate) fn refuse_results(dataset: &Path) -> Result<(), Failure> {
+    match is_result(dataset) {
+        true => Err(Failure::Usage(format!(
+            "{} is a result of `i2slam run`, where a sequence is expected: its report.html describes it, and \
+             its input.json names the sequence it was made of",
+            dataset.display()
+        ))),
+        false => Ok(()),
+    }
+}
+
 /// Tells if a folder holds a result of a run.
 pub(crate) fn is_result(folder: &Path) -> bool {
     folder.join("config.toml").is_file() && folder.join("map.i2slam").is_file()

@@ -18,6 +18,7 @@ use crate::register::approximate_poses::{
     in_unit_of_path, place_unsupported, register_near, take_given_poses,
 };
 use crate::register::dense_constraints::add_dense_constraints;
+use crate::register::first_pairs::register_photographs;
 use crate::register::initialization::initialize;
 use crate::register::photographs::with_matches;
 use crate::register::position_refinement::refine_positions;
@@ -437,16 +438,17 @@ fn adjust_until_converged(state: &mut SfmState, adjust_focal: bool) {
 /// Builds the map from tracks alone: poses of all frames, and landmarks.
 fn build_map(state: &mut SfmState, adjust_focal: bool) -> Result<(), OdometryError> {
     let is_started = !state.posed_frames().is_empty();
-    if !is_started {
-        initialize(state, 0..state.tracks.keyframes.len())?;
-    }
-    let mut was_lost = register_and_relocalize(state, adjust_focal);
-    let other = match state.photographs.is_some() {
-        true => None,
-        false => largest_component(state, adjust_focal),
-    };
-    if let Some((other, other_was_lost)) = other {
-        (*state, was_lost) = (other, other_was_lost);
+    let mut was_lost = false;
+    if state.photographs.is_some() {
+        register_photographs(state, adjust_focal)?;
+    } else {
+        if !is_started {
+            initialize(state, 0..state.tracks.keyframes.len())?;
+        }
+        was_lost = register_and_relocalize(state, adjust_focal);
+        if let Some((other, other_was_lost)) = largest_component(state, adjust_focal) {
+            (*state, was_lost) = (other, other_was_lost);
+        }
     }
     scale_to_readings(state);
     if !is_started {
@@ -465,8 +467,7 @@ fn register_and_relocalize(state: &mut SfmState, adjust_focal: bool) -> bool {
     let (mut failed, mut was_lost) = (FailedPairs::default(), false);
     loop {
         register_keyframes(state, adjust_focal, usize::MAX);
-        // All that matches a photograph was compared already.
-        if state.photographs.is_some() || !relocalize(state, &mut failed) {
+        if !relocalize(state, &mut failed) {
             return was_lost;
         }
         was_lost = true;

@@ -85,6 +85,7 @@ mod segmentation {
 mod register {
     pub(crate) mod approximate_poses;
     pub(crate) mod dense_constraints;
+    pub(crate) mod first_pairs;
     pub(crate) mod initialization;
     pub(crate) mod photographs;
     pub(crate) mod position_refinement;

@@ -188,10 +188,12 @@ pub(crate) fn build_reconstruction(
     let mut warnings = Vec::new();
     let lost = poses.len() - posed.len();
     if lost > 0 {
-        warnings.push(Warning::FramesLost { lost, frames: poses.len() });
-        match &state.photographs {
-            Some(_) => warnings.extend(photographs_not_placed(&poses)),
-            None => warnings.extend(lost_frame_warnings(&state)),
+        if state.photographs.is_some() {
+            let (count, photographs) = (lost, poses.len());
+            warnings.push(Warning::PhotographsNotPlaced { count, photographs });
+        } else {
+            warnings.push(Warning::FramesLost { lost, frames: poses.len() });
+            warnings.extend(lost_frame_warnings(&state));
         }
     }
     let distortion = match distortion_dropped {
@@ -235,16 +237,6 @@ pub(crate) fn build_reconstruction(
         Some(unit) => found.scaled(unit.recip()),
         None => found,
     }
-}
-
-/// Runs of photographs without a pose.
-fn photographs_not_placed(poses: &[Option<Pose<f64>>]) -> Vec<Warning> {
-    let numbers: Vec<usize> = (0..poses.len()).collect();
-    let runs = numbers.chunk_by(|a, b| poses[*a].is_some() == poses[*b].is_some());
-    let lost = runs.filter(|run| poses[run[0]].is_none());
-    let warn =
-        |run: &[usize]| Warning::PhotographsNotPlaced { frames: [run[0], run[run.len() - 1]] };
-    lost.map(warn).collect()
 }
 
 /// The path so far in its own world and unit of length, with the landmarks of one keyframe, given

@@ -11,14 +11,15 @@ pub enum Warning {
         /// All frames.
         frames: usize,
     },
-    /// Consecutive photographs without a pose.
+    /// Photographs without a pose.
     #[error(
-        "{} not placed: too blurred, or with too little of what other photographs show; some taken from between, at most 20 degrees apart, would help",
-        are(*.frames)
+        "{count} of {photographs} photographs are not placed: too blurred, or with too little of what others show; some taken from between, at most 20 degrees apart, would help"
     )]
     PhotographsNotPlaced {
-        /// First and last frame.
-        frames: [usize; 2],
+        /// Number of photographs without a pose.
+        count: usize,
+        /// Number of all.
+        photographs: usize,
     },
     /// Consecutive frames with points of their own, but too few in common with the others.
     #[error(
@@ -121,7 +122,7 @@ pub enum Warning {
     },
     /// The focal length is only vaguely observable.
     #[error(
-        "the pictures determine the focal length only to {percent:.0} percent: give it if it is known, or walk to all sides and turn while filming"
+        "the pictures determine the focal length only to {percent:.0} percent: give it if it is known, or take pictures from all sides, some of them turned"
     )]
     FocalLengthUncertain {
         /// Relative standard deviation, in percent.
@@ -129,7 +130,7 @@ pub enum Warning {
     },
     /// The focal length is not observable.
     #[error(
-        "the pictures do not determine the focal length, {focal_length:.1} px ({:.1} degrees across) is a guess: give it if it is known, or walk to all sides and turn while filming",
+        "the pictures do not determine the focal length, {focal_length:.1} px ({:.1} degrees across) is a guess: give it if it is known, or take pictures from all sides, some of them turned",
         field_of_view(*.width, *.focal_length)
     )]
     FocalLengthUndetermined {
@@ -213,7 +214,6 @@ impl Warning {
     fn frames_mut(&mut self) -> Option<&mut [usize; 2]> {
         match self {
             Self::DisconnectedFrames { frames }
-            | Self::PhotographsNotPlaced { frames }
             | Self::UntrackableFrames { frames }
             | Self::BlankFrames { frames }
             | Self::FrozenFrames { frames, .. }

@@ -10,6 +10,7 @@ pub mod html;
 mod input;
 mod map;
 mod metrics;
+mod numbers;
 mod pictures;
 pub mod plot;
 pub mod report;

@@ -43,10 +43,10 @@ pub struct Metrics {
     pub mapping_seconds_per_frame: f64,
     /// Peak memory [bytes], where the system reports it.
     pub peak_memory_bytes: Option<u64>,
-    /// Median over frames of the blur length [px].
-    pub blur_length_px_median: f64,
+    /// Median over frames of the blur length [px]; `None` where the motion of none was estimated.
+    pub blur_length_px_median: Option<f64>,
     /// Largest blur length [px].
-    pub blur_length_px_max: f64,
+    pub blur_length_px_max: Option<f64>,
     /// Mean PSNR of the predicted, blurred picture against the input [dB].
     pub psnr_blurred_db: Option<f64>,
     /// Frames in `psnr_blurred_db`.
@@ -165,8 +165,8 @@ impl Metrics {
             seconds_per_frame: (tracking + mapping) * per_frame,
             tracking_seconds_per_frame: tracking * per_frame,
             mapping_seconds_per_frame: mapping * per_frame,
-            blur_length_px_median: blur.get(blur.len() / 2).copied().unwrap_or(0.0),
-            blur_length_px_max: blur.last().copied().unwrap_or(0.0),
+            blur_length_px_median: blur.get(blur.len() / 2).copied(),
+            blur_length_px_max: blur.last().copied(),
             vignetting_corner: vignetting_corner(reconstruction),
             rolling_shutter_readout_s: reconstruction.rolling_shutter_readout,
             focal_length_px: reconstruction.camera.fx,

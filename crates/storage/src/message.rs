@@ -15,6 +15,11 @@ pub fn shortened(message: &str) -> String {
     chars().take(begin).chain(" ... ".chars()).chain(chars().skip(count - end)).collect()
 }
 
+/// Line of a byte of a text, from 1.
+pub fn line_at(text: &str, byte: usize) -> usize {
+    text.bytes().take(byte).filter(|b| *b == b'\n').count() + 1
+}
+
 /// Names in a line.
 const MAX_NAMES: usize = 8;
 

@@ -20,7 +20,7 @@ use std::path::{Path, PathBuf};
 pub(crate) struct Render {
     /// Result folder of a run
     pub(crate) result: PathBuf,
-    /// Only frames A to B-1 of the associated stream
+    /// Only frames A to B-1, numbered as in frames.csv
     #[arg(long, value_name = "A..B", value_parser = frame_range, conflicts_with_all = ["pose", "poses"])]
     pub(crate) frames: Option<Range<usize>>,
     /// A pose of your own, world from camera as in trajectory.txt, exposed as the camera would have done it
@@ -74,7 +74,7 @@ pub(crate) fn render(arguments: &Render) -> Result<(), Failure> {
         expose(&mut frames, &reconstruction, &progress)?;
     }
     let mut viewer = reconstruction.viewer();
-    let (mut done, mut empty) = (0, 0);
+    let (mut done, mut empty, mut seen) = (0, 0, 0.0);
     for frame in &frames {
         let mut is_empty = true;
         for &kind in &kinds {
@@ -84,6 +84,9 @@ pub(crate) fn render(arguments: &Render) -> Result<(), Failure> {
         }
         done += 1;
         empty += usize::from(is_empty);
+        if own_poses {
+            seen += seen_share(&viewer.opacity(frame.middle()));
+        }
         progress.step("rendering", done, frames.len());
         if interrupt::requested() {
             break;
@@ -95,13 +98,33 @@ pub(crate) fn render(arguments: &Render) -> Result<(), Failure> {
     pictures.write_poses(&frames[..done])?;
     let path = pictures.place(done < frames.len())?;
     print(&format!("{done_frames}, {names}, in {}", path.display()));
-    if own_poses && empty > 0 {
-        print_status(&format!(
-            "warning: the map shows nothing from {empty} of {done} poses: they are world from camera, in \
-             world and unit of the result's trajectory.txt"
-        ));
+    if own_poses {
+        warn_of_unseen(done, empty, seen);
     }
     if done < frames.len() { Err(Failure::Interrupted) } else { Ok(()) }
+}
+
+/// Share of a picture that shows the map.
+fn seen_share(opacity: &Image<f32>) -> f64 {
+    let seen = opacity.data.iter().filter(|opacity| **opacity >= 0.5).count();
+    seen as f64 / opacity.data.len().max(1) as f64
+}
+
+/// Warns where views of one's own hardly show the map; `empty` of them show nothing, and all `seen` times
+/// what one can.
+fn warn_of_unseen(done: usize, empty: usize, seen: f64) {
+    let share = seen / done.max(1) as f64;
+    let found = match empty {
+        0 if share < MIN_SEEN_SHARE => {
+            format!("the pictures show the map in {:.0} % of their pixels alone", 100.0 * share)
+        }
+        0 => return,
+        _ => format!("the map shows nothing from {empty} of {done} poses"),
+    };
+    print_status(&format!(
+        "warning: {found}: poses are expected as world from camera, in world and unit of the result's \
+         trajectory.txt"
+    ));
 }
 
 /// Gives views of one's own the exposures that the camera would have chosen there, where the run's frames
@@ -127,6 +150,9 @@ fn expose(
     }
     Ok(())
 }
+
+/// Share of the pixels of views of one's own that show the map, below which their poses are doubted.
+const MIN_SEEN_SHARE: f64 = 0.5;
 
 /// File with the poses of rendered pictures.
 const POSES: &str = "poses.txt";
@@ -281,13 +307,13 @@ fn frames(
 }
 
 fn parse_pose(text: &str) -> Result<Pose<f64>, Failure> {
-    let wrong = || {
-        Failure::Usage(format!("`{text}` is no pose: expected seven numbers tx ty tz qx qy qz qw"))
-    };
+    let wrong = |why: &str| Failure::Usage(format!("`{text}` is no pose: {why}"));
+    let expected = "expected seven numbers, tx ty tz qx qy qz qw, with spaces between them";
     let numbers: Result<Vec<f64>, _> = text.split_whitespace().map(str::parse).collect();
-    let numbers: [f64; 7] = numbers.ok().and_then(|n| n.try_into().ok()).ok_or_else(wrong)?;
-    let [x, y, z, qx, qy, qz, qw] = numbers;
-    let rotation = Rotation::from_wxyz(qw, qx, qy, qz).ok_or_else(wrong)?;
+    let numbers: Option<[f64; 7]> = numbers.ok().and_then(|n| n.try_into().ok());
+    let [x, y, z, qx, qy, qz, qw] = numbers.ok_or_else(|| wrong(expected))?;
+    let rotation = Rotation::from_wxyz(qw, qx, qy, qz);
+    let rotation = rotation.ok_or_else(|| wrong("its quaternion qx qy qz qw has no length"))?;
     let pose = Pose::new(rotation, Vec3::new(x, y, z));
-    if pose.is_finite() { Ok(pose) } else { Err(wrong()) }
+    if pose.is_finite() { Ok(pose) } else { Err(wrong(expected)) }
 }

@@ -8,6 +8,7 @@ use crate::interrupt::{self, Reading};
 use crate::pose_lines::PoseLines;
 use crate::reconstruction::{self, Job, RenderSelection};
 use crate::recording::{Recorder, Recording};
+use crate::result_folder::refuse_results;
 use clap::builder::PossibleValuesParser;
 use clap::{Args, ValueEnum};
 use i2slam::config::{MapKind, PRESET_NAMES, line_of_key};
@@ -141,7 +142,7 @@ pub(crate) struct Formation {
     /// Use pictures as they are, without exposure, white balance or camera response
     #[arg(long)]
     pub(crate) no_tone: bool,
-    /// Do not tie the motion during an exposure to the motion between frames
+    /// Do not tie the motion during an exposure to the motion between frames; for comparisons as in the paper
     #[arg(long)]
     pub(crate) no_trajectory_loss: bool,
 }
@@ -178,6 +179,7 @@ pub(crate) fn run(arguments: &Run, recorder: Option<Recorder>) -> Result<(), Fai
     if is_stream(&arguments.dataset) {
         return run_stream(arguments, recorder);
     }
+    refuse_results(&arguments.dataset)?;
     if !arguments.rgb && is_without_depth(&arguments.dataset) {
         if !arguments.machine.quiet && !is_video(&arguments.dataset) {
             let name = arguments.dataset.display();

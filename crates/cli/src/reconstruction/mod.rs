@@ -14,6 +14,7 @@ use crate::pose_lines::PoseLines;
 use crate::progress::Progress;
 use crate::recording::Recording;
 use crate::{interrupt, messages};
+use i2slam::config::MappingConfig;
 use i2slam::dataset::{DatasetError, LiveSequence, RecordedSequence, Sequence, is_video};
 use i2slam::run::{TrackedStream, reconstruct_stream};
 use i2slam::{PoseSource, RunError, RunOptions, Warning, reconstruct};
@@ -106,8 +107,21 @@ pub(crate) fn run(job: &Job<'_>) -> Result<(), Failure> {
         job.options.config.mapping.hold_out_frames = listed_frames(list, &sequence)?;
     }
     job.options.validate(&sequence).map_err(|error| placed(error, &job))?;
+    refuse_idle_hold_out(&job.options.config.mapping, sequence.len())?;
     refuse_dataset(&job.dataset, &job.out)?;
     reconstruct_into(output_folder(&job)?, &job, (dataset, &sequence), None)
+}
+
+/// Refuses to hold out each N-th of at most N frames, which is none.
+fn refuse_idle_hold_out(mapping: &MappingConfig, frames: usize) -> Result<(), Failure> {
+    let every = mapping.hold_out;
+    match every > 0 && every >= frames && mapping.hold_out_frames.is_empty() {
+        true => Err(Failure::Usage(format!(
+            "--hold-out {every} (mapping.hold_out) leaves out every {every}th frame after the first, and \
+             there are {frames}: none would be left out"
+        ))),
+        false => Ok(()),
+    }
 }
 
 fn output_folder(job: &Job<'_>) -> Result<OutputFolder, Failure> {

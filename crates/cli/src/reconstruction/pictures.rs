@@ -73,11 +73,15 @@ pub(crate) struct ImageMetrics {
 
 impl PictureRenderer<'_> {
     /// Renders and measures all frames; after an interrupt those of the report, as far as there is time.
+    /// An empty map has no pictures.
     pub(crate) fn render(&self, folder: &OutputFolder, progress: &Progress) -> RenderedPictures {
         let frames = &self.reconstruction.frames;
         let shown = frames_to_show(frames, REPORT_FRAMES);
         let mut viewer = self.reconstruction.viewer();
         let mut rendered = RenderedPictures::default();
+        if self.reconstruction.map.is_empty() {
+            return rendered;
+        }
         // Pictures of a field take long: after an interrupt those alone whose time is known.
         let mut longest = match self.reconstruction.map {
             Map::Gaussians(_) => Duration::ZERO,

@@ -113,6 +113,12 @@ impl FilePairs {
     }
 }
 
+/// True for names of image files.
+pub(super) fn has_image_name(path: &Path) -> bool {
+    let extension = path.extension().and_then(|e| e.to_str()).map(str::to_lowercase);
+    extension.is_some_and(|e| EXTENSIONS.contains(&e.as_str()))
+}
+
 /// Image files of a folder whose names (with extension) pass `keep`, sorted.
 pub(super) fn list_images(
     folder: &Path,
@@ -123,10 +129,7 @@ pub(super) fn list_images(
         .flatten()
         .map(|entry| entry.path())
         .filter(|path| !file_stem(path).starts_with('.'))
-        .filter(|path| {
-            let extension = path.extension().and_then(|e| e.to_str()).map(str::to_lowercase);
-            extension.is_some_and(|e| EXTENSIONS.contains(&e.as_str()))
-        })
+        .filter(|path| has_image_name(path))
         .filter(|path| path.file_name().is_some_and(|name| keep(&name.to_string_lossy())))
         .collect();
     if files.is_empty() {

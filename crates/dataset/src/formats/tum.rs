@@ -97,6 +97,12 @@ fn read_image_list(path: &Path, folder: &Path) -> Result<Vec<(f64, PathBuf)>, Da
     if images.is_empty() {
         return Err(DatasetError::empty(path, "lines with a time stamp and a file name"));
     }
+    if !images.iter().any(|(_, file)| is_present(file)) {
+        let first = images[0].1.display();
+        let reason =
+            format!("none of the {} files that it names is there: expected {first}", images.len());
+        return Err(DatasetError::file(path, reason));
+    }
     images.sort_by(|a, b| a.0.total_cmp(&b.0));
     Ok(images)
 }

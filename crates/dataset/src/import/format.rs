@@ -104,6 +104,10 @@ impl DetectedFormat {
                 "a file of torch.save: write its arrays with np.savez (docs/import.md, DROID-SLAM)"
                     .into(),
             ),
+            // Its error names the line.
+            None if path.extension().is_some_and(|end| end == "txt") && path.is_file() => {
+                Ok(Self::Trajectory(path.to_path_buf()))
+            }
             None if path.is_file() => unknown("a file of another kind".into()),
             None => unknown(list_names(path)),
         }

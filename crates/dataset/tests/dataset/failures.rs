@@ -45,7 +45,12 @@ fn unusable_files_are_named() {
         ("calibration.txt", "1 2 3 x".into(), &["calibration.txt", "cy is 'x'"]),
         ("calibration.txt", "0 1 2 3".into(), &["calibration.txt", "positive"]),
         ("depth.txt", "# nothing\n".into(), &["depth.txt is empty", "time stamp"]),
-        ("depth.txt", "3.05 depth/0.png\n".into(), &["none of 2", "0.08 s", "3.017 s away"]),
+        ("depth.txt", "3.05 depth/000.png\n".into(), &["none of 2", "0.08 s", "3.017 s away"]),
+        (
+            "depth.txt",
+            "0.0 elsewhere/0.png\n0.1 elsewhere/1.png\n".into(),
+            &["depth.txt: none of the 2 files that it names is there", "elsewhere/0.png"],
+        ),
         ("rgb.txt", "# c\n0.0 a.png\nNaN b.png\n".into(), &["rgb.txt, line 3", "NaN"]),
         ("rgb.txt", "0.0\n".into(), &["rgb.txt, line 1", "a time stamp and a file name"]),
     ] {

@@ -1,7 +1,7 @@
 //! Settings as TOML files: reading, writing, and the help that printed presets carry.
 
 use super::*;
-use i2slam_storage::shortened;
+use i2slam_storage::{line_at, shortened};
 use std::path::Path;
 use toml::de::{DeTable, DeValue};
 use toml::{Table, Value};
@@ -201,7 +201,11 @@ impl Source<'_> {
     }
 
     fn table(&self) -> Result<Table, ConfigError> {
-        self.text.parse().map_err(|e: toml::de::Error| self.malformed(&e.to_string()))
+        self.text.parse().map_err(|error: toml::de::Error| {
+            let line = error.span().map(|at| format!(", line {}", line_at(self.text, at.start)));
+            let origin = self.origin.to_owned() + &line.unwrap_or_default();
+            Source { origin: &origin, ..*self }.malformed(error.message())
+        })
     }
 
     fn line(&self, key: &str) -> Option<usize> {
@@ -316,7 +320,7 @@ fn leaves(table: &Table, path: &str) -> Vec<(String, Table)> {
 pub fn line_of_key(text: &str, path: &[&str]) -> Option<usize> {
     let table = DeTable::parse(text).ok()?;
     let at = in_table(table.get_ref(), path)?;
-    Some(text.get(..at)?.matches('\n').count() + 1)
+    Some(line_at(text, at))
 }
 
 /// Byte at which the key begins.
@@ -392,7 +396,8 @@ mod tests {
             "a.toml, line 5: mapping.depth_weight: ",
             "a number",
         );
-        refused(&value("window.x = 1"), "a.toml", "window");
+        refused(&value("window.x = 1"), "a.toml, line 5: ", "key");
+        refused("[mapping\n", "a.toml, line 1: ", "]");
         refused(&value("iterations = -1"), "a.toml, line 5: mapping.iterations: ", "-1");
         refused(
             &value("hold_out = 1"),

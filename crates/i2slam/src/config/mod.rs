@@ -100,10 +100,12 @@ section! {
         /// Added to the depth pictures' time stamps [s].
         depth_delay: f64,
         /// Time in which the rows of a colour picture are read [s]: row r of H is exposed around
-        /// `time stamp + readout ((r + ½)/H - ½)`. Positive if the top row comes first, 0 for a
-        /// global shutter. Poses are those of the middle row; depth is taken at one moment.
+        /// `time stamp + readout ((r + ½)/H - ½)`. Positive if the top row comes first. 0: `default` and
+        /// `default-rgb` measure it and write what they found here, the paper's presets take the rows as
+        /// read at once. Poses are those of the middle row; depth is taken at one moment.
         rolling_shutter_readout: f64,
-        /// Find the readout while tracking, starting from `rolling_shutter_readout`.
+        /// Find the readout while frames are tracked against the map, from `rolling_shutter_readout` on. Not
+        /// needed where the front end gives the poses.
         optimise_rolling_shutter: bool,
     }
 }

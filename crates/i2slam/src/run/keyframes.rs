@@ -22,7 +22,6 @@ use i2slam_geometry::{Pose, StampedPose};
 use i2slam_odometry::{FrameUpdate, FrontEnd, PoseDeviation};
 use i2slam_storage::listed;
 use std::collections::BTreeMap;
-use std::ops::RangeInclusive;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
@@ -274,10 +273,9 @@ where
             (first, last),
             format!("{warning} (frames {first}..{} can be reconstructed apart)", last + 1),
         ),
-        OdometryWarning::PhotographsNotPlaced { frames: [first, last] } => Warning::of_frames(
-            (first, last),
-            format!("{warning}: {}", file_names(sequence, first..=last)),
-        ),
+        OdometryWarning::PhotographsNotPlaced { .. } => {
+            format!("{warning}: {}", not_placed(sequence, found)).into()
+        }
         _ => match warning.frames() {
             Some([first, last]) => {
                 let text = warning.to_string();
@@ -290,9 +288,14 @@ where
     found.refused().iter().map(left_out).chain(warnings).collect()
 }
 
-/// Names of the files of frames by number.
-fn file_names(sequence: &Sequence, frames: RangeInclusive<usize>) -> String {
-    let entries = sequence.entries.iter().filter(|entry| frames.contains(&entry.index));
+/// Names of the files of pictures without a pose.
+fn not_placed<L>(sequence: &Sequence, found: &MonocularSource<L>) -> String
+where
+    L: FnMut(usize) -> Result<Frame, PictureError>,
+{
+    let poses = found.reconstruction().poses.iter().enumerate();
+    let places = poses.filter(|(_, pose)| pose.is_none()).filter_map(|(i, _)| found.position(i));
+    let entries = places.filter_map(|place| sequence.entries.get(place));
     let names = entries.filter_map(|entry| Some(entry.colour.file_name()?.to_string_lossy()));
     listed(&names.collect::<Vec<_>>())
 }

@@ -244,9 +244,8 @@ pub struct RunOutcome {
     pub complete: bool,
     /// The error that ended the run early; `None` if it was cancelled.
     pub problem: Option<RunError>,
-    /// Why the result is not what was asked for, a sentence each; empty if it is: less than a tenth
-    /// of the frames or half of the photographs was tracked, the map is empty, no frame was held
-    /// out, no readout was found.
+    /// Why the result is not what was asked for, a sentence each; empty if it is: less than half of the frames
+    /// or photographs was tracked, the map is empty, no frame was held out, no readout was found.
     pub shortfalls: Vec<String>,
     /// Camera as estimated from the pictures; only by colour alone.
     pub camera: Option<CameraEstimate>,

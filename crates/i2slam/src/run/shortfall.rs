@@ -4,12 +4,9 @@ use super::{PoseSource, RunOptions, RunOutcome};
 use crate::config::{MappingConfig, TrackingMethod};
 use crate::reconstruction::FrameEstimate;
 
-/// Part of the frames that has to be tracked, one in so many: a map of fewer shows hardly anything
-/// of what was filmed.
-const TRACKED_ONE_IN: usize = 10;
-
-/// As [`TRACKED_ONE_IN`] of photographs, each of which was taken on purpose.
-const PHOTOGRAPHS_ONE_IN: usize = 2;
+/// Part of the frames or photographs that has to be tracked, one in so many: a map of fewer lacks most of
+/// what was filmed.
+const TRACKED_ONE_IN: usize = 2;
 
 /// A sentence if too few frames were tracked, and one if the map is empty.
 pub(super) fn of_result(outcome: &RunOutcome, options: &RunOptions) -> Vec<String> {
@@ -29,7 +26,7 @@ fn too_few_tracked(outcome: &RunOutcome, given: usize) -> Option<String> {
     let frames = &outcome.reconstruction.frames;
     let tracked = frames.iter().filter(|f| f.tracked).count();
     let given = (given, outcome.is_unordered);
-    if !is_too_few(tracked, given) {
+    if !is_too_few(tracked, given.0) {
         return None;
     }
     let is_lost =
@@ -49,7 +46,7 @@ fn too_few_tracked(outcome: &RunOutcome, given: usize) -> Option<String> {
 /// A sentence if visual odometry found poses of too few of the frames that were `given`: their number, and
 /// true if they are photographs.
 pub(super) fn of_path(posed: usize, given: (usize, bool)) -> Option<String> {
-    let few = is_too_few(posed, given);
+    let few = is_too_few(posed, given.0);
     few.then(|| format!("{} given a pose by visual odometry", of_frames(posed, given)))
 }
 
@@ -80,9 +77,8 @@ pub(super) fn of_readout(is_missing: bool) -> Option<String> {
     })
 }
 
-fn is_too_few(found: usize, (given, is_unordered): (usize, bool)) -> bool {
-    let one_in = if is_unordered { PHOTOGRAPHS_ONE_IN } else { TRACKED_ONE_IN };
-    found * one_in < given
+fn is_too_few(found: usize, given: usize) -> bool {
+    found * TRACKED_ONE_IN < given
 }
 
 fn of_frames(found: usize, (given, is_unordered): (usize, bool)) -> String {
@@ -136,12 +132,12 @@ mod tests {
     }
 
     #[test]
-    fn a_tenth_of_the_frames_has_to_be_tracked() {
+    fn half_of_the_frames_have_to_be_tracked() {
         let options = RunOptions::with_depth();
         let empty = "the map is empty: there is nothing to render".to_owned();
-        assert_eq!(of_result(&outcome(2, 18), &options), std::slice::from_ref(&empty));
-        let few = "1 of 20 frames were tracked: frame 1: it has no depth".to_owned();
-        assert_eq!(of_result(&outcome(1, 19), &options), [few, empty]);
+        assert_eq!(of_result(&outcome(10, 10), &options), std::slice::from_ref(&empty));
+        let few = "9 of 20 frames were tracked: frame 9: it has no depth".to_owned();
+        assert_eq!(of_result(&outcome(9, 11), &options), [few, empty]);
         // Frames that were left out count as well, but not those that a cancelled run never saw.
         let unread = RunOutcome { frames_given: 40, frames_skipped: 37, ..outcome(3, 0) };
         let sentences = of_result(&unread, &options);
@@ -173,9 +169,9 @@ mod tests {
         assert_eq!(of_result(&keyframes(), &options).len(), 2);
         options.config.tracking.method = TrackingMethod::Adam;
         assert_eq!(of_result(&keyframes(), &options).len(), 1);
-        assert!(of_path(9, (90, false)).is_none());
-        let words = "8 of 90 frames were given a pose by visual odometry";
-        assert_eq!(of_path(8, (90, false)).as_deref(), Some(words));
+        assert!(of_path(45, (90, false)).is_none());
+        let words = "44 of 90 frames were given a pose by visual odometry";
+        assert_eq!(of_path(44, (90, false)).as_deref(), Some(words));
     }
 
     #[test]

@@ -55,9 +55,14 @@ pub(crate) fn initialize(state: &mut SfmState, places: Range<usize>) -> Result<(
     if state.photographs.is_none() && initialize_from_depth(state, places.clone()) {
         return Ok(());
     }
+    leave_out_depth(state);
+    initialize_from_parallax(state, places)
+}
+
+/// Begins without the unit of length of measured depth, which follows when the map is large enough.
+pub(crate) fn leave_out_depth(state: &mut SfmState) {
     state.is_unscaled = true;
     read_depth(state);
-    initialize_from_parallax(state, places)
 }
 
 /// Poses the keyframe with most depth readings; false if none has enough of them.
@@ -80,6 +85,43 @@ fn initialize_from_parallax(
     state: &mut SfmState,
     places: Range<usize>,
 ) -> Result<(), OdometryError> {
+    let pairs = initial_pairs(state, places)?;
+    match pairs.iter().any(|pair| begin_with(state, pair)) {
+        true => Ok(()),
+        false => Err(OdometryError::NoConsistentMotion),
+    }
+}
+
+/// Two keyframes with which a map may begin.
+pub(crate) struct InitialPair {
+    pair: KeyframePair,
+    view: RelativePose,
+}
+
+impl InitialPair {
+    /// The two.
+    pub(crate) fn frames(&self) -> [usize; 2] {
+        [self.pair.first, self.pair.second]
+    }
+}
+
+/// Begins a map of an empty state with a pair; false, and the state is empty, if that gives too few landmarks.
+pub(crate) fn begin_with(state: &mut SfmState, pair: &InitialPair) -> bool {
+    if state.progress.is_cancelled() {
+        return false;
+    }
+    let is_enough = reconstruct_pair(state, &pair.pair, pair.view) >= MIN_LANDMARKS;
+    if !is_enough {
+        state.reset();
+    }
+    is_enough
+}
+
+/// Pairs of keyframes in `places` with which a map of an empty state may begin by parallax, best first.
+pub(crate) fn initial_pairs(
+    state: &SfmState,
+    places: Range<usize>,
+) -> Result<Vec<InitialPair>, OdometryError> {
     let pairs = candidate_pairs(state, places);
     let enough = SUFFICIENT_PARALLAX * state.camera.fx;
     let worth = |p: &KeyframePair| p.rotation_residual.min(enough) * (p.shared as f64).sqrt();
@@ -110,23 +152,15 @@ fn initialize_from_parallax(
             }
         })
         .collect();
-    let mut candidates: Vec<(&KeyframePair, RelativePose)> = moved
-        .iter()
-        .zip(tried)
-        .filter_map(|(p, t)| Some((p, t.filter(|t| t.inlier_ratio >= MIN_INLIER_RATIO)?)))
-        .collect();
-    let score = |(p, t): &(&KeyframePair, RelativePose)| t.inlier_ratio * t.inlier_ratio * worth(p);
+    let with_view = |(pair, view): (KeyframePair, Option<RelativePose>)| {
+        let view = view.filter(|view| view.inlier_ratio >= MIN_INLIER_RATIO)?;
+        Some(InitialPair { pair, view })
+    };
+    let mut candidates: Vec<InitialPair> =
+        moved.into_iter().zip(tried).filter_map(with_view).collect();
+    let score = |c: &InitialPair| c.view.inlier_ratio * c.view.inlier_ratio * worth(&c.pair);
     candidates.sort_by(|a, b| score(b).total_cmp(&score(a)));
-    for (pair, view) in candidates {
-        if state.progress.is_cancelled() {
-            break;
-        }
-        if reconstruct_pair(state, pair, view) >= MIN_LANDMARKS {
-            return Ok(());
-        }
-        state.reset();
-    }
-    Err(OdometryError::NoConsistentMotion)
+    Ok(candidates)
 }
 
 /// All pairs of keyframes in `places` that share enough points.

@@ -162,6 +162,25 @@ impl Scene {
         self.reconstruction.map.gaussians()
     }
 
+    /// The box, in the world of [`CropBox`], that holds all chosen Gaussians but the outermost hundredth on each
+    /// side: least x, y, z, greatest x, y, z. `None` of a hash grid and of an empty map.
+    pub fn bounds(&self) -> Option<[f64; 6]> {
+        let Map::Gaussians(map) = &self.reconstruction.map else { return None };
+        let place = |mean: &[f32; 3]| {
+            self.level_from_world.rotate(Vec3::from_array(mean.map(f64::from))).to_array()
+        };
+        let places: Vec<[f64; 3]> = map.means.iter().map(place).collect();
+        let outermost = places.len() / 100;
+        let mut bounds = [0.0; 6];
+        for axis in 0..3 {
+            let mut along: Vec<f64> = places.iter().map(|place| place[axis]).collect();
+            along.sort_by(f64::total_cmp);
+            bounds[axis] = *along.get(outermost)?;
+            bounds[axis + 3] = along[along.len() - 1 - outermost];
+        }
+        Some(bounds)
+    }
+
     /// The unit of all lengths.
     pub fn unit(&self) -> UnitOfLength {
         UnitOfLength::of(&self.reconstruction.config)

@@ -1,8 +1,8 @@
 //! Pictures of the report: before and after, and one frame at several exposures.
 
 use super::Report;
-use super::headline::significant;
 use crate::html::{data_address, escape};
+use crate::numbers::significant;
 use crate::{UnitOfLength, VIEWER_FILE};
 use i2slam::FrameEstimate;
 use i2slam::geometry::Image;

@@ -2,6 +2,7 @@
 
 use super::Report;
 use crate::html::escape;
+use crate::numbers::{significant, thousands};
 use crate::{Metrics, UnitOfLength, depth_registration_line, rolling_shutter_line};
 use std::fmt::Write;
 
@@ -22,25 +23,32 @@ pub(super) fn lead(report: &Report<'_>) -> String {
     format!(
         "{}{} Preset <code>{}</code>, seed {}.{end}{unit}",
         degradation(metrics),
-        summary(metrics, &escape(report.title)),
+        summary(metrics, map_and_path(report), &escape(report.title)),
         escape(&metrics.preset),
         metrics.seed,
     )
 }
 
-/// A sentence on the frames of a sequence that became the map.
-fn summary(metrics: &Metrics, title: &str) -> String {
+/// What a run that ended early or found only part of its frames has made.
+fn map_and_path(report: &Report<'_>) -> &'static str {
+    match report.reconstruction.map.is_empty() {
+        true => "A camera path, without a map,",
+        false => "A map of light and a camera path",
+    }
+}
+
+/// A sentence on the frames of a sequence that became a map and a path, in words.
+fn summary(metrics: &Metrics, made: &str, title: &str) -> String {
     let given = given(metrics);
     let noun = if metrics.unordered { "photograph" } else { "blurred frame" };
     let nouns = format!("{noun}{}", if given == 1 { "" } else { "s" });
     match metrics.tracked {
         tracked if tracked < given => format!(
-            "A map of light and a camera path of {tracked} of {given} {nouns} of <b>{title}</b>; no pose was \
-             found of the other {}.",
+            "{made} of {tracked} of {given} {nouns} of <b>{title}</b>; no pose was found of the other {}.",
             given - tracked
         ),
         _ if metrics.degraded || !metrics.complete => {
-            format!("A map of light and a camera path of {given} {nouns} of <b>{title}</b>.")
+            format!("{made} of {given} {nouns} of <b>{title}</b>.")
         }
         _ => format!(
             "{given} {nouns} of <b>{title}</b> became one sharp map of light and a camera path."
@@ -109,9 +117,11 @@ pub(super) fn cards(metrics: &Metrics) -> String {
                        30 dB is a good match.";
         card(format!("{psnr:.1}"), "dB", "Prediction PSNR", meaning);
     }
-    let blur = format!("{:.1}", metrics.blur_length_px_max);
-    let meaning = "In the most blurred frame, the streak a point draws while the shutter is open.";
-    card(blur, "px", "Longest blur", meaning);
+    if let Some(blur) = metrics.blur_length_px_max {
+        let meaning =
+            "In the most blurred frame, the streak a point draws while the shutter is open.";
+        card(format!("{blur:.1}"), "px", "Longest blur", meaning);
+    }
     let seconds = significant(metrics.seconds_per_frame);
     card(seconds, "s", "Time per frame", "The whole run, divided by its frames.");
     if let Some(source) = &metrics.camera_source {
@@ -157,25 +167,6 @@ fn given(metrics: &Metrics) -> usize {
     metrics.frames_given.max(metrics.frames)
 }
 
-/// Three significant digits, without exponent.
-pub(super) fn significant(value: f64) -> String {
-    let digits = if value > 0.0 && value.is_finite() { 2.0 - value.log10().floor() } else { 0.0 };
-    format!("{value:.*}", digits.clamp(0.0, 6.0) as usize)
-}
-
-/// A count with narrow spaces between thousands.
-fn thousands(count: usize) -> String {
-    let digits = count.to_string();
-    let mut out = String::new();
-    for (i, digit) in digits.chars().enumerate() {
-        if i > 0 && (digits.len() - i).is_multiple_of(3) {
-            out.push('\u{202f}');
-        }
-        out.push(digit);
-    }
-    out
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -190,15 +181,5 @@ mod tests {
         let rows = "camera.json. Rolling shutter: rows read in 26.3 ms. Depth pictures: taken 13.4 ms \
                     before their time stamps, which is corrected.";
         assert!(cards.contains(rows), "{cards}");
-    }
-
-    #[test]
-    fn figures_are_short() {
-        assert_eq!(significant(1.8349), "1.83");
-        assert_eq!(significant(0.04231), "0.0423");
-        assert_eq!(significant(123.4), "123");
-        assert_eq!(significant(0.0), "0");
-        assert_eq!(thousands(1_234_567), "1\u{202f}234\u{202f}567");
-        assert_eq!(thousands(12), "12");
     }
 }

@@ -5,7 +5,7 @@ mod work;
 
 use crate::error::SyntheticError;
 use crate::sensor::Response;
-use i2slam_storage::shortened;
+use i2slam_storage::{line_at, shortened};
 use std::fmt::{Debug, Display};
 use std::ops::RangeInclusive;
 use std::path::Path;
@@ -73,11 +73,13 @@ pub const SHIPPED: [(&str, &str); 5] = [
 impl Spec {
     /// Parses and checks a specification; `origin` names it in errors.
     pub fn from_toml(text: &str, origin: &str) -> Result<Self, SyntheticError> {
-        let malformed = |message: String| SyntheticError::Malformed {
-            origin: origin.to_owned(),
-            message: shortened(message.trim_end()),
-        };
-        let spec: Self = toml::from_str(text).map_err(|e| malformed(e.to_string()))?;
+        let spec: Self = toml::from_str(text).map_err(|error| {
+            let line = error.span().map(|at| format!(", line {}", line_at(text, at.start)));
+            SyntheticError::Malformed {
+                origin: origin.to_owned() + &line.unwrap_or_default(),
+                message: shortened(error.message()),
+            }
+        })?;
         spec.validate()?;
         Ok(spec)
     }

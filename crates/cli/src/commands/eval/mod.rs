@@ -19,6 +19,7 @@ use estimate::Estimate;
 use evaluation::Evaluation;
 use i2slam::dataset::read_trajectory;
 use i2slam_eval::trajectory::Step;
+use i2slam_result::load_metrics;
 use reference::Reference;
 use std::path::PathBuf;
 
@@ -220,10 +221,14 @@ fn evaluate_pictures(
     } else if let (Some(result), Some(_)) = (estimate.result(), &evaluation.trajectory)
         && estimate.renders("sharp", "png")?.is_empty()
     {
+        let has_map = load_metrics(result).is_none_or(|m| m.gaussians > 0 || !m.degraded);
         let result = result.display();
-        evaluation.not_evaluated.push(format!(
-            "pictures: {result} has no renders/sharp (`i2slam render {result}` draws them)"
-        ));
+        evaluation.not_evaluated.push(match has_map {
+            true => format!(
+                "pictures: {result} has no renders/sharp (`i2slam render {result}` draws them)"
+            ),
+            false => format!("pictures: {result} has no map to draw them from"),
+        });
         return Ok(());
     }
     let chosen = frames::match_renders(arguments, estimate, reference, wanted)?;

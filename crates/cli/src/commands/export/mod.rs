@@ -59,6 +59,12 @@ pub(crate) fn export(arguments: &Export) -> Result<(), Failure> {
     progress.clear();
     let what = with_unit(&written?, arguments.format, &scene);
     print(&format!("{what}, in {}", arguments.out.display()));
+    if let Some(bounds) = scene.bounds().filter(|_| selection.crop.is_none()) {
+        let numbers = bounds.map(|value| format!("{value:.2}")).join(" ");
+        print_status(&format!(
+            "98 % of the Gaussians along each axis lie in --crop \"{numbers}\", which leaves out the others"
+        ));
+    }
     if scene.levelling() > MIN_LEVELLING {
         let degrees = scene.levelling().to_degrees();
         print_status(&format!(
@@ -121,8 +127,8 @@ fn described(video: &Video) -> String {
     let [error, constant] = [fit.error, fit.constant_error].map(|e| e / std::f64::consts::LN_2);
     let meter = fit.controller.meter.name();
     format!(
-        "{length}, exposed by the {meter} ({error:.2} stops off where frames are left out, {constant:.2} at one \
-         exposure)"
+        "{length}, exposure follows the {meter} as the camera's did (typical error {error:.2} stops; of one \
+         exposure for all {constant:.2})"
     )
 }
 

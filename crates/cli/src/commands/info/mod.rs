@@ -9,7 +9,7 @@ use crate::failure::{Failure, print_json};
 use crate::ground_truth::GroundTruth;
 use crate::interrupt;
 use crate::progress::Progress;
-use crate::result_folder::is_result;
+use crate::result_folder::refuse_results;
 use clap::Args;
 use frames::PictureStats;
 use i2slam::dataset::{DatasetError, Sequence, is_video};
@@ -24,7 +24,7 @@ pub(crate) struct Info {
     /// Sequence: a folder in one of the known layouts (docs/datasets.md), a .sens file or a video;
     /// or keyframes of another program (docs/import.md)
     pub(crate) dataset: PathBuf,
-    /// Settings that decide which frames there are and how much is cropped
+    /// Preset of the run: the paper's leave out frames that came too soon, and crop borders
     #[arg(long, value_name = "NAME", default_value = "default")]
     pub(crate) preset: String,
     #[command(flatten)]
@@ -74,13 +74,7 @@ fn open(arguments: &Info) -> Result<Option<Sequence>, Failure> {
 
 pub(crate) fn info(arguments: &Info) -> Result<(), Failure> {
     arguments.machine.use_threads()?;
-    if is_result(&arguments.dataset) {
-        return Err(Failure::Usage(format!(
-            "{0} is a result of `i2slam run`, and info describes what can be run: the result is \
-             described by its report.html, and its dataset named in input.json",
-            arguments.dataset.display()
-        )));
-    }
+    refuse_results(&arguments.dataset)?;
     let Some(sequence) = open(arguments)? else { return Ok(()) };
     let truth = GroundTruth::open(&arguments.dataset, &sequence);
     let mut warnings = sequence.warnings.clone();

@@ -2,6 +2,7 @@
 //! al. 2013).
 
 use super::super::error::ExportError;
+use crate::numbers::significant;
 use i2slam::geometry::{Camera, Image, Pose, Vec3};
 use rayon::prelude::*;
 use std::collections::HashMap;
@@ -98,10 +99,10 @@ impl Volume {
                 }
             }
             if self.blocks.len() > self.max_blocks {
-                let (now, more) = (self.voxel, 2.0 * self.voxel);
+                let [now, more] = [self.voxel, 2.0 * self.voxel].map(significant);
                 return Err(ExportError::refused(format!(
-                    "the scene is too large for voxels of {now:.4}: choose larger ones as in \
-                     --voxel {more:.3}, or a part of it with --crop"
+                    "the scene is too large for voxels of {now}: choose larger ones as in \
+                     --voxel {more}, or a part of it with --crop"
                 )));
             }
         }

@@ -1,0 +1,98 @@
+//! Maps of photographs from several first pairs, of which the best one is kept.
+//!
+//! Which photographs come first decides where patterns that repeat are taken for each other: such a
+//! photograph gets a wrong pose, and later ones are placed by it. In a map with fewer of them more
+//! observations agree.
+
+use super::initialization::{InitialPair, begin_with, initial_pairs, leave_out_depth};
+use super::registration::{adjust_globally, register_keyframes};
+use crate::error::OdometryError;
+use crate::sfm_state::SfmState;
+use rayon::prelude::*;
+
+/// Maps beside the first one that are tried.
+const MORE_MAPS: usize = 3;
+/// Share of observations that disagree with a map of all photographs, up to which no other is tried: it could
+/// have only these more.
+const MAX_OUTLIERS: f64 = 0.1;
+
+/// Registers all photographs that can be, from the first pair with which most observations agree in the end.
+///
+/// # Errors
+///
+/// Reason why no pair gives a map.
+pub(crate) fn register_photographs(
+    state: &mut SfmState,
+    adjust_focal: bool,
+) -> Result<(), OdometryError> {
+    leave_out_depth(state);
+    let pairs = initial_pairs(state, 0..state.tracks.keyframes.len())?;
+    let order = disjoint_first(&pairs.iter().map(InitialPair::frames).collect::<Vec<_>>());
+    let mut order = order.into_iter().map(|place| &pairs[place]);
+    let first = order.find_map(|pair| map_from(state, pair, adjust_focal));
+    let first = first.ok_or(OdometryError::NoConsistentMotion)?;
+    let best = match is_beyond_doubt(&first) || state.progress.is_cancelled() {
+        true => first,
+        false => {
+            let others: Vec<&InitialPair> = order.take(MORE_MAPS).collect();
+            let quiet = SfmState { progress: state.progress.without_listener(), ..state.clone() };
+            let others: Vec<SfmState> =
+                others.par_iter().filter_map(|pair| map_from(&quiet, pair, adjust_focal)).collect();
+            // The first of equal ones.
+            let all = std::iter::once(first).chain(others).rev();
+            all.max_by_key(agreeing).ok_or(OdometryError::NoConsistentMotion)?
+        }
+    };
+    *state = SfmState { progress: state.progress.clone(), ..best };
+    Ok(())
+}
+
+/// The map of all photographs that can be registered from a pair on; `None` if it begins none.
+fn map_from(state: &SfmState, pair: &InitialPair, adjust_focal: bool) -> Option<SfmState> {
+    let mut map = state.clone();
+    if !begin_with(&mut map, pair) {
+        return None;
+    }
+    register_keyframes(&mut map, adjust_focal, usize::MAX);
+    adjust_globally(&mut map, adjust_focal);
+    Some(map)
+}
+
+/// Number of observations that agree with a map.
+fn agreeing(map: &SfmState) -> usize {
+    map.posed_frames().iter().map(|frame| map.count_inliers(*frame)).sum()
+}
+
+/// True if a map has all photographs and hardly an observation disagrees.
+fn is_beyond_doubt(map: &SfmState) -> bool {
+    let posed = map.posed_frames();
+    let all: usize = posed.iter().map(|frame| map.observations_in(*frame).count()).sum();
+    let is_complete = map.tracks.keyframes.iter().all(|frame| map.poses[*frame].is_some());
+    is_complete && agreeing(map) as f64 >= (1.0 - MAX_OUTLIERS) * all as f64
+}
+
+/// Places of pairs, those that share a photograph with an earlier one last.
+fn disjoint_first(pairs: &[[usize; 2]]) -> Vec<usize> {
+    let (mut apart, mut others) = (Vec::<usize>::new(), Vec::new());
+    for (place, frames) in pairs.iter().enumerate() {
+        let shares = |known: &usize| pairs[*known].iter().any(|frame| frames.contains(frame));
+        match apart.iter().any(shares) {
+            true => others.push(place),
+            false => apart.push(place),
+        }
+    }
+    apart.extend(others);
+    apart
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pairs_that_share_a_photograph_come_last() {
+        let pairs = [[0, 1], [1, 2], [4, 3], [0, 3], [5, 6]];
+        assert_eq!(disjoint_first(&pairs), [0, 2, 4, 1, 3]);
+        assert!(disjoint_first(&[]).is_empty());
+    }
+}
