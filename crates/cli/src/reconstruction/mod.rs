@@ -4,7 +4,7 @@ mod pictures;
 mod shortfall;
 mod write;
 
-use crate::console::{print, print_status};
+use crate::console::{counted, print, print_status};
 use crate::failure::Failure;
 use crate::ground_truth::GroundTruth;
 use crate::held_out_frames::listed_frames;
@@ -117,8 +117,8 @@ fn refuse_idle_hold_out(mapping: &MappingConfig, frames: usize) -> Result<(), Fa
     let every = mapping.hold_out;
     match every > 0 && every >= frames && mapping.hold_out_frames.is_empty() {
         true => Err(Failure::Usage(format!(
-            "--hold-out {every} (mapping.hold_out) leaves out every {every}th frame after the first, and \
-             there are {frames}: none would be left out"
+            "--hold-out {every} (mapping.hold_out) holds out none of {}: expected a smaller number",
+            counted(frames, "frame")
         ))),
         false => Ok(()),
     }

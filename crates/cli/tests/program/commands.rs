@@ -116,6 +116,15 @@ fn a_result_without_a_name_has_that_of_its_sequence() {
 fn a_result_is_no_sequence_and_a_preset_may_be_misspelt() {
     let room = Room::reconstructed("mistaken", Scene { frames: 3, ..Scene::default() }, &[]);
     i2slam!("info", room.out).exits_with(2).stderr_contains("is a result of `i2slam run`");
+    i2slam!("run", room.out).exits_with(2).stderr_contains("is a result of `i2slam run`");
+    for (pose, words) in
+        [("0,0,0,0,0,0,1", "with spaces between them"), ("0 0 0 0 0 0 0", "has no length")]
+    {
+        i2slam!("render", room.out, "--pose", pose).exits_with(2).stderr_contains(words);
+    }
+    i2slam!("export", room.out, "--format", "tum", "-o", room.scratch.join("path.txt"))
+        .exits_with(0)
+        .stderr_contains("of the Gaussians along each axis lie in --crop \"");
     let misspelt = run(["run", "nowhere", "--preset", "defualt"]).exits_with(2);
     misspelt.stderr_contains("a similar value exists: 'default'");
 }

@@ -110,6 +110,11 @@ fn ctrl_c_keeps_the_path_and_the_earlier_result() {
         let metrics: serde_json::Value = serde_json::from_str(&metrics).expect("JSON");
         assert_eq!((&metrics["complete"], &metrics["frames"]), (&false.into(), &24.into()));
         assert!(metrics["warnings"].to_string().contains("neither exposure nor motion blur"));
+        assert!(["psnr_blurred_db", "blur_length_px_median"].iter().all(|f| metrics[f].is_null()));
+        let report = fs::read_to_string(beside.join("report.html")).expect("a report");
+        assert!(
+            report.contains("A camera path, without a map,") && !report.contains("Longest blur")
+        );
         let ran = ran.stderr_contains("degraded: the map is empty");
         assert!(!ran.err.contains("interrupted before all renders"), "{}", ran.err);
         let refused =
