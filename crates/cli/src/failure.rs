@@ -57,7 +57,11 @@ impl From<DatasetError> for Failure {
                 Some(flag) => Self::Usage(format!("{flag}: {reason}")),
                 None => Self::Usage(error.to_string()),
             },
+            DatasetError::NoCamera { .. } => Self::Failed(format!(
+                "{error}; flags: --camera FILE.json, --intrinsics FX FY CX CY, --fov DEGREES"
+            )),
             DatasetError::MissingFolder { .. }
+            | DatasetError::OnePicture { .. }
             | DatasetError::Empty { .. }
             | DatasetError::UnknownLayout { .. }
             | DatasetError::UnknownImport { .. } => Self::Usage(error.to_string()),

@@ -33,6 +33,12 @@ pub enum DatasetError {
         /// Known layouts, one per line.
         known: String,
     },
+    /// One picture where a sequence is expected.
+    #[error("{} is one picture: expected a folder of them, or a video", path.display())]
+    OnePicture {
+        /// The picture.
+        path: PathBuf,
+    },
     /// ffmpeg, which decodes and encodes videos, cannot be started.
     #[error(
         "a video needs the program ffmpeg, and {} cannot be started ({source}){}: \
@@ -66,9 +72,8 @@ pub enum DatasetError {
     /// No intrinsics: no `camera.json`, no flag, and the folder's name is no known sequence's.
     #[error(
         "no camera for {}: {}put a camera.json there with fx, fy, cx, cy, width, height and \
-         depth_scale, or give --camera FILE, --intrinsics FX FY CX CY or --fov DEGREES; by colour alone \
-         (--rgb) it is found from the pictures (a folder named after freiburg1, freiburg2 or freiburg3 \
-         needs none)",
+         depth_scale, name one, or give the four intrinsics or the field of view (a folder named \
+         after freiburg1, freiburg2 or freiburg3 needs none)",
         folder.display(), mend_first(causes)
     )]
     NoCamera {

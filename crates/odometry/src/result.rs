@@ -12,6 +12,7 @@ use crate::track::tracks::Observation;
 use crate::warning::Warning;
 use i2slam_compute::median;
 use i2slam_geometry::{Camera, Pose, StampedPose, Trajectory};
+use std::sync::Arc;
 
 /// Consecutive lost frames of a warning, and points tracked in them that show another place.
 const MIN_LISTED_FRAMES: usize = 4;
@@ -290,8 +291,13 @@ fn focal_deviation(
     warnings: &mut Vec<Warning>,
 ) -> Option<f64> {
     let camera = state.camera;
-    let (released, covariance) = reestimate_intrinsics(state);
     let is_known = matches!(intrinsics, Intrinsics::Known(_));
+    let state = match is_known {
+        // Relative poses were found with the given focal length, and hold it.
+        true => SfmState { relative_poses: Arc::default(), ..state },
+        false => state,
+    };
+    let (released, covariance) = reestimate_intrinsics(state);
     let Some(covariance) = covariance else {
         let undetermined =
             Warning::FocalLengthUndetermined { focal_length: camera.fx, width: camera.width };

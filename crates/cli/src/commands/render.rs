@@ -110,13 +110,13 @@ fn seen_share(opacity: &Image<f32>) -> f64 {
     seen as f64 / opacity.data.len().max(1) as f64
 }
 
-/// Warns where views of one's own hardly show the map; `empty` of them show nothing, and all `seen` times
-/// what one can.
+/// Warns where `done` views of one's own hardly show the map: `empty` of them show nothing, and `seen` is the sum
+/// of the [shares](seen_share) of all.
 fn warn_of_unseen(done: usize, empty: usize, seen: f64) {
     let share = seen / done.max(1) as f64;
     let found = match empty {
         0 if share < MIN_SEEN_SHARE => {
-            format!("the pictures show the map in {:.0} % of their pixels alone", 100.0 * share)
+            format!("the pictures show the map in only {:.0} % of their pixels", 100.0 * share)
         }
         0 => return,
         _ => format!("the map shows nothing from {empty} of {done} poses"),
@@ -315,5 +315,5 @@ fn parse_pose(text: &str) -> Result<Pose<f64>, Failure> {
     let rotation = Rotation::from_wxyz(qw, qx, qy, qz);
     let rotation = rotation.ok_or_else(|| wrong("its quaternion qx qy qz qw has no length"))?;
     let pose = Pose::new(rotation, Vec3::new(x, y, z));
-    if pose.is_finite() { Ok(pose) } else { Err(wrong(expected)) }
+    if pose.is_finite() { Ok(pose) } else { Err(wrong("its numbers must be finite")) }
 }

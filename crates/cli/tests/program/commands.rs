@@ -122,9 +122,12 @@ fn a_result_is_no_sequence_and_a_preset_may_be_misspelt() {
     {
         i2slam!("render", room.out, "--pose", pose).exits_with(2).stderr_contains(words);
     }
-    i2slam!("export", room.out, "--format", "tum", "-o", room.scratch.join("path.txt"))
-        .exits_with(0)
-        .stderr_contains("of the Gaussians along each axis lie in --crop \"");
+    let ply = room.scratch.join("map.ply");
+    let ran = i2slam!("export", room.out, "--format", "ply", "-o", ply).exits_with(0);
+    let found = ran.err.split("lie in --crop \"").nth(1).and_then(|rest| rest.split('"').next());
+    let found = found.unwrap_or_else(|| panic!("no box: {}", ran.err));
+    i2slam!("export", room.out, "--format", "ply", "-o", ply, "--overwrite", "--crop", found)
+        .exits_with(0);
     let misspelt = run(["run", "nowhere", "--preset", "defualt"]).exits_with(2);
     misspelt.stderr_contains("a similar value exists: 'default'");
 }

@@ -118,7 +118,7 @@ fn unknown_layout(path: &Path, found: String, has_colour: bool) -> DatasetError 
         return DatasetError::file(path, format!("found {unread}"));
     }
     if path.is_file() && file_pairing::has_image_name(path) {
-        return DatasetError::file(path, "one picture, expected a folder of them, or a video");
+        return DatasetError::OnePicture { path: path.to_path_buf() };
     }
     let line = |layout: Layout| format!("\n  {:<26}{}", layout.name(), layout.recognised_by());
     let known = Layout::ALL.into_iter().map(line).collect();

@@ -97,14 +97,22 @@ fn read_image_list(path: &Path, folder: &Path) -> Result<Vec<(f64, PathBuf)>, Da
     if images.is_empty() {
         return Err(DatasetError::empty(path, "lines with a time stamp and a file name"));
     }
-    if !images.iter().any(|(_, file)| is_present(file)) {
-        let first = images[0].1.display();
-        let reason =
-            format!("none of the {} files that it names is there: expected {first}", images.len());
-        return Err(DatasetError::file(path, reason));
-    }
     images.sort_by(|a, b| a.0.total_cmp(&b.0));
     Ok(images)
+}
+
+/// [`read_image_list`] of a list whose files are needed: an error if not one of them is there.
+fn read_present_images(path: &Path, folder: &Path) -> Result<Vec<(f64, PathBuf)>, DatasetError> {
+    let images = read_image_list(path, folder)?;
+    match images.iter().any(|(_, file)| is_present(file)) {
+        true => Ok(images),
+        false => {
+            let (count, first) = (images.len(), images[0].1.display());
+            let reason =
+                format!("none of the {count} files that it names is there: expected {first}");
+            Err(DatasetError::file(path, reason))
+        }
+    }
 }
 
 /// Colour and depth files with their time stamps [s], each in order of time.
@@ -132,10 +140,14 @@ pub(super) fn list(
     layout: Layout,
     options: &OpenOptions,
 ) -> Result<Listing, DatasetError> {
-    let colour = read_image_list(&folder.join("rgb.txt"), folder)?;
+    let colour = read_present_images(&folder.join("rgb.txt"), folder)?;
     let list = folder.join("depth.txt");
-    let alone = options.colour_only && !is_present(&list);
-    let depth = if alone { None } else { Some(read_image_list(&list, folder)?) };
+    let depth = match (options.colour_only, is_present(&list)) {
+        (true, false) => None,
+        // Its time stamps choose among colour pictures.
+        (true, true) => Some(read_image_list(&list, folder)?),
+        (false, _) => Some(read_present_images(&list, folder)?),
+    };
     list_by_time(folder, layout, StampedImages { colour, depth }, options)
 }
 

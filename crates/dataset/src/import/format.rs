@@ -1,7 +1,7 @@
 //! Recognition of the formats of imported keyframes.
 
 use crate::DatasetError;
-use crate::formats::colmap;
+use crate::formats::{colmap, read_unit_trajectory};
 use crate::sequence::check_kind;
 use crate::text::{data_lines, list_names, read_text};
 use std::fs::File;
@@ -104,11 +104,7 @@ impl DetectedFormat {
                 "a file of torch.save: write its arrays with np.savez (docs/import.md, DROID-SLAM)"
                     .into(),
             ),
-            // Its error names the line.
-            None if path.extension().is_some_and(|end| end == "txt") && path.is_file() => {
-                Ok(Self::Trajectory(path.to_path_buf()))
-            }
-            None if path.is_file() => unknown("a file of another kind".into()),
+            None if path.is_file() => unknown(of_another_kind(path)),
             None => unknown(list_names(path)),
         }
     }
@@ -145,6 +141,17 @@ impl DetectedFormat {
             .or_else(|| colmap::find(path, false).map(Self::Colmap))
             .or_else(|| arrays().map(Self::Droid))
             .or_else(|| file("trajectory.txt").map(Self::Trajectory))
+    }
+}
+
+/// Description of a file of no known format; of a text file with why it is no trajectory.
+fn of_another_kind(path: &Path) -> String {
+    let is_text = path.extension().is_some_and(|end| end.eq_ignore_ascii_case("txt"));
+    match read_unit_trajectory(path) {
+        Err(DatasetError::Line { line, reason, .. }) if is_text => {
+            format!("a text file that is no trajectory (line {line}: {reason})")
+        }
+        _ => "a file of another kind".to_owned(),
     }
 }
 

@@ -3,7 +3,6 @@
 use crate::bundle::IntrinsicsCovariance;
 use crate::register::registration::{adjust_globally, adjust_path};
 use crate::sfm_state::{MAX_JOINT_POSES, SfmState};
-use std::sync::Arc;
 
 /// Significance of a distortion: the 99th percentile of a sum of two squared normal variables.
 const DISTORTION_SIGNIFICANCE: f64 = 9.21;
@@ -23,8 +22,6 @@ pub(crate) fn reestimate_intrinsics(
     let mut poses = vec![None; state.poses.len()];
     keyframes.iter().for_each(|f| poses[*f] = state.poses[*f]);
     (state.poses, state.progress) = (poses, state.progress.without_listener());
-    // Dense alignment has found them with the intrinsics that are released here.
-    state.relative_poses = Arc::default();
     adjust_globally(&mut state, true);
     let covariance = state.bundle(&keyframes, true).0.camera_covariance();
     (state, covariance)

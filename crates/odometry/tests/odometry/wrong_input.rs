@@ -182,6 +182,27 @@ fn with_some_depth(
     (online, front_end.finish(Progress::default()).expect("a path"))
 }
 
+/// Dense alignment with depth finds relative poses with the focal length that was given.
+#[test]
+fn a_focal_length_that_is_far_off_is_told_with_depth() {
+    let wrong = Camera { fx: 2.0 * camera().fx, fy: 2.0 * camera().fy, ..camera() };
+    let mut front_end = FrontEnd::new(Intrinsics::Known(wrong));
+    for i in 0..SWAY_FRAMES {
+        let depth = Image::from_fn(camera().width, camera().height, 1, |_, column, row| {
+            depth(swaying(i), [column as f64 + 0.5, row as f64 + 0.5]) as f32
+        });
+        let timestamp = i as f64 / 30.0;
+        let depth = DepthPicture { depth: &depth, timestamp };
+        front_end.push(&picture(3, swaying(i), 1.0), timestamp, Some(&depth)).expect("they fit");
+    }
+    let found = front_end.finish(Progress::default()).expect("a path");
+    let is_told = |w: &Warning| match w {
+        Warning::FocalLengthMismatch { fitting, .. } => (fitting / camera().fx).ln().abs() < 0.3,
+        _ => false,
+    };
+    assert!(found.warnings.iter().any(is_told), "{:?}", found.warnings);
+}
+
 /// Frames until the swaying camera is far from where it began.
 const SWAY_FRAMES: usize = 27;
 

@@ -19,7 +19,7 @@ use estimate::Estimate;
 use evaluation::Evaluation;
 use i2slam::dataset::read_trajectory;
 use i2slam_eval::trajectory::Step;
-use i2slam_result::load_metrics;
+use i2slam_result::load;
 use reference::Reference;
 use std::path::PathBuf;
 
@@ -221,7 +221,7 @@ fn evaluate_pictures(
     } else if let (Some(result), Some(_)) = (estimate.result(), &evaluation.trajectory)
         && estimate.renders("sharp", "png")?.is_empty()
     {
-        let has_map = load_metrics(result).is_none_or(|m| m.gaussians > 0 || !m.degraded);
+        let has_map = !load(result).is_ok_and(|found| found.map.is_empty());
         let result = result.display();
         evaluation.not_evaluated.push(match has_map {
             true => format!(

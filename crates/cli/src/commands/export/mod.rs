@@ -59,8 +59,9 @@ pub(crate) fn export(arguments: &Export) -> Result<(), Failure> {
     progress.clear();
     let what = with_unit(&written?, arguments.format, &scene);
     print(&format!("{what}, in {}", arguments.out.display()));
-    if let Some(bounds) = scene.bounds().filter(|_| selection.crop.is_none()) {
-        let numbers = bounds.map(|value| format!("{value:.2}")).join(" ");
+    let can_be_cut = !matches!(arguments.format, Format::Tum | Format::Csv);
+    if let Some(bounds) = scene.bounds().filter(|_| can_be_cut && selection.crop.is_none()) {
+        let numbers = box_numbers(bounds);
         print_status(&format!(
             "98 % of the Gaussians along each axis lie in --crop \"{numbers}\", which leaves out the others"
         ));
@@ -73,6 +74,18 @@ pub(crate) fn export(arguments: &Export) -> Result<(), Failure> {
         ));
     }
     Ok(())
+}
+
+/// Numbers of a box, rounded outward to a thousandth or less of its longest edge.
+fn box_numbers(bounds: [f64; 6]) -> String {
+    let longest = (0..3).map(|k| bounds[k + 3] - bounds[k]).fold(f64::MIN_POSITIVE, f64::max);
+    let digits = (3.0 - longest.log10().floor()).clamp(0.0, 9.0) as usize;
+    let unit = 10_f64.powi(digits as i32);
+    let outward = |k: usize| match k < 3 {
+        true => (bounds[k] * unit).floor() / unit,
+        false => (bounds[k] * unit).ceil() / unit,
+    };
+    [0, 1, 2, 3, 4, 5].map(|k| format!("{:.digits$}", outward(k))).join(" ")
 }
 
 /// Triangles above which larger voxels are advised: some 20 MB.
