@@ -29,7 +29,7 @@ pub(super) fn lead(report: &Report<'_>) -> String {
     )
 }
 
-/// What a run that ended early or found only part of its frames has made.
+/// Words for the outcome of a run that ended early or found only part of its frames.
 fn map_and_path(report: &Report<'_>) -> &'static str {
     match report.reconstruction.map.is_empty() {
         true => "A camera path, without a map,",
