@@ -135,9 +135,11 @@ pub(crate) fn forecast_line(forecast: &RuntimeForecast, is_adjustable: bool) -> 
     }
     let duration = rounded_duration(seconds);
     if forecast.is_second {
-        return Some(format!(
-            "this will take about {duration} in all: {keyframes} frames are keyframes"
-        ));
+        let found = match forecast.is_unordered {
+            true => format!("{keyframes} of {frames} photographs are placed"),
+            false => format!("{keyframes} frames are keyframes"),
+        };
+        return Some(format!("this will take about {duration} in all: {found}"));
     }
     let advice = match is_adjustable {
         true => advice(width.max(height), forecast.is_unordered),
@@ -321,5 +323,8 @@ mod tests {
         let line = forecast_line(&photographs, true).expect("a long run");
         assert!(line.contains("300 photographs of 480x640 px; --max-side 320 would"), "{line}");
         assert!(!line.contains("--stride"), "{line}");
+        let placed = RuntimeForecast { is_second: true, ..photographs };
+        let line = forecast_line(&placed, true).expect("a long run");
+        assert_eq!(line, "this will take about 10 min in all: 62 of 300 photographs are placed");
     }
 }

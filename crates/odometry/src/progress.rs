@@ -18,6 +18,8 @@ pub enum Stage {
     FocalLength,
     /// Registering keyframes; counts registered ones, of all.
     Registration,
+    /// Registering photographs from other first pairs; counts maps.
+    FirstPairs,
     /// Bundle adjustment; counts steps, of which there may be fewer.
     BundleAdjustment,
     /// Estimating the rolling-shutter readout.
@@ -38,7 +40,7 @@ pub struct Progress {
 
 impl Progress {
     /// Stops at the next step once `cancellation` is cancelled; calls `listener(stage, done,
-    /// total)` on the reconstructing thread, with a total of 0 where it is unknown.
+    /// total)` on a thread of the reconstruction, with a total of 0 where it is unknown.
     pub fn new(
         cancellation: CancellationToken,
         listener: impl Fn(Stage, usize, usize) + Send + Sync + 'static,

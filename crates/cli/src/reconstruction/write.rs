@@ -211,6 +211,8 @@ impl Measurements {
             }
         }
         let mut measurements = Self { metrics, truth_in_world: Vec::new(), warnings: Vec::new() };
+        let budget = reconstruction.config.memory;
+        measurements.warnings.extend(over_budget(measurements.metrics.peak_memory_bytes, budget));
         measurements.measure_trajectory(outcome, sequence, truth);
         measurements.measure_exposure(outcome, truth);
         measurements
@@ -271,6 +273,17 @@ fn absolute_source(source: String) -> String {
     absolute.map_or(source, |path| path.display().to_string())
 }
 
+/// A warning if a run has taken more memory [bytes] than its budget [GB].
+fn over_budget(peak: Option<u64>, budget: f64) -> Option<String> {
+    let peak = peak? as f64 * 1e-9;
+    (peak > budget).then(|| {
+        format!(
+            "{peak:.2} GB of memory were taken, more than the {budget} GB of --memory: only pictures wait \
+             in a file, the map and its optimisation need the rest (--max-side makes both smaller)"
+        )
+    })
+}
+
 /// Peak resident memory of the process [bytes]; Linux only.
 fn peak_memory() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
@@ -301,5 +314,12 @@ mod tests {
         let file = absolute_source("Cargo.toml".to_owned());
         assert!(Path::new(&file).is_absolute() && file.ends_with("Cargo.toml"), "{file}");
         assert_eq!(absolute_source("the given intrinsics".to_owned()), "the given intrinsics");
+    }
+
+    #[test]
+    fn memory_above_its_budget_is_told() {
+        let told = over_budget(Some(1_310_000_000), 1.0).expect("a warning");
+        assert!(told.starts_with("1.31 GB of memory were taken, more than the 1 GB of"), "{told}");
+        assert!(over_budget(Some(999_000_000), 1.0).is_none() && over_budget(None, 1.0).is_none());
     }
 }

@@ -1,9 +1,12 @@
-//! Duration of a run, extrapolated from its first frames, and anew when all are tracked.
+//! Duration of a run, extrapolated from its first frames, and anew when all are tracked or placed.
 
 use crate::config::{Config, MapKind};
+use crate::keyframes::Stage as OdometryStage;
 use crate::session::RuntimeEstimate;
 use i2slam_dataset::Sequence;
-use std::time::Instant;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::{Duration, Instant};
 
 /// Frames after which the share of keyframes among them is extrapolated.
 const SAMPLE_FRAMES: usize = 24;
@@ -36,18 +39,69 @@ pub struct RuntimeForecast {
     pub seconds: f64,
     /// Frames of the sequence.
     pub frames: usize,
-    /// Keyframes that they will give.
+    /// Keyframes that they will give; of photographs, which all are, those that have a pose.
     pub keyframes: usize,
     /// Width and height of the mapped pictures [px].
     pub size: (usize, usize),
-    /// True if all frames are tracked, and an earlier forecast is replaced.
+    /// True if all frames are tracked or photographs placed, and an earlier forecast is replaced.
     pub is_second: bool,
     /// True if the frames are photographs in any order.
     pub is_unordered: bool,
 }
 
+/// Forecasts of one run, made by all who see how long its path takes.
+pub(super) struct RunForecasts {
+    forecaster: Mutex<Forecaster>,
+    /// True if the pictures so far are photographs.
+    is_unordered: AtomicBool,
+    /// Time that a preview of the map took so far.
+    preview_microseconds: AtomicU64,
+}
+
+impl RunForecasts {
+    /// For a run that begins now.
+    pub(super) fn new(config: &Config, sequence: &Sequence) -> Self {
+        let forecaster = Mutex::new(Forecaster::new(config, sequence));
+        let (is_unordered, preview_microseconds) = (AtomicBool::new(false), AtomicU64::new(0));
+        Self { forecaster, is_unordered, preview_microseconds }
+    }
+
+    /// Tells whether the pictures so far are photographs.
+    pub(super) fn set_unordered(&self, is_unordered: bool) {
+        self.is_unordered.store(is_unordered, Ordering::Relaxed);
+    }
+
+    /// Adds the time of a step of a preview.
+    pub(super) fn add_preview(&self, taken: Duration) {
+        self.preview_microseconds.fetch_add(taken.as_micros() as u64, Ordering::Relaxed);
+    }
+
+    /// The forecast, if progress of the front end allows one, and it has changed.
+    pub(super) fn after_progress(
+        &self,
+        stage: OdometryStage,
+        done: usize,
+        of: usize,
+    ) -> Option<RuntimeForecast> {
+        let mut forecaster = self.forecaster.lock().ok()?;
+        match stage {
+            OdometryStage::Tracking { keyframes } if !self.is_unordered.load(Ordering::Relaxed) => {
+                let preview = 1e-6 * self.preview_microseconds.load(Ordering::Relaxed) as f64;
+                forecaster.after((done, keyframes), preview)
+            }
+            OdometryStage::Matching => forecaster.after_pairs(done, of),
+            _ => None,
+        }
+    }
+
+    /// The forecast once the path and motions of photographs are found, if it has changed.
+    pub(super) fn after_placing(&self, placed: usize) -> Option<RuntimeForecast> {
+        self.forecaster.lock().ok()?.after_placing(placed)
+    }
+}
+
 /// Makes the forecasts of one run.
-pub(super) struct Forecaster {
+struct Forecaster {
     config: Config,
     sequence: Sequence,
     started: Instant,
@@ -73,7 +127,7 @@ struct Photographs {
 
 impl Forecaster {
     /// For a run that begins now.
-    pub(super) fn new(config: &Config, sequence: &Sequence) -> Self {
+    fn new(config: &Config, sequence: &Sequence) -> Self {
         let (config, sequence) = (config.clone(), sequence.clone());
         let (started, has_depth) = (Instant::now(), sequence.frames_with_depth() > 0);
         let (pace, measuring, photographs, last) = (None, 0.0, None, None);
@@ -83,7 +137,7 @@ impl Forecaster {
     /// The forecast, as soon as enough of the pictures were tracked and, if it has changed, when all were:
     /// `done`, of which `keyframes` became keyframes, while a preview of the map took `preview` [s]. Does a
     /// little of everything to time it.
-    pub(super) fn after(
+    fn after(
         &mut self,
         (done, keyframes): (usize, usize),
         preview: f64,
@@ -112,14 +166,14 @@ impl Forecaster {
         let preview = preview * frames as f64 / done as f64;
         let after = mapping + pace.finish(&self.config, keyframes, frames);
         let seconds = self.measuring + path + preview + after;
-        let is_news = self.last.is_none_or(|last| (seconds / last).ln().abs() > MIN_CHANGE);
+        let is_told = self.last.is_none_or(|last| is_news(seconds, last));
         self.last = Some(seconds);
-        is_news.then(|| RuntimeForecast { is_second, ..self.forecast(seconds, keyframes) })
+        is_told.then(|| RuntimeForecast { is_second, ..self.forecast(seconds, keyframes) })
     }
 
     /// The forecast of photographs, once enough of their pairs were matched: `done` of `pairs`. Times a little
     /// of everything before.
-    pub(super) fn after_pairs(&mut self, done: usize, pairs: usize) -> Option<RuntimeForecast> {
+    fn after_pairs(&mut self, done: usize, pairs: usize) -> Option<RuntimeForecast> {
         if self.photographs.is_none() {
             let tracking = self.started.elapsed().as_secs_f64();
             self.pace = self.measure(true);
@@ -135,12 +189,30 @@ impl Forecaster {
         let ratio = PHOTOGRAPHS[usize::from(self.sequence.camera_is_guess)];
         let path = self.started.elapsed().as_secs_f64() + after + ratio * found.tracking;
         let count = self.sequence.len();
+        let seconds = path + self.mapping_of_photographs(&pace, count);
+        self.last = Some(seconds);
+        Some(RuntimeForecast { is_unordered: true, ..self.forecast(seconds, count) })
+    }
+
+    /// The forecast of photographs once their path and motions are found, and `placed` of them have a pose; `None`
+    /// if it has not changed.
+    fn after_placing(&mut self, placed: usize) -> Option<RuntimeForecast> {
+        let (pace, last) = (self.pace?, self.last?);
+        let mapping = self.mapping_of_photographs(&pace, placed);
+        let seconds = self.started.elapsed().as_secs_f64() + mapping;
+        self.last = Some(seconds);
+        let (is_second, is_unordered) = (true, true);
+        let forecast = self.forecast(seconds, placed);
+        is_news(seconds, last).then_some(RuntimeForecast { is_second, is_unordered, ..forecast })
+    }
+
+    /// Time of so many photographs with a pose, from dense depth to the end [s].
+    fn mapping_of_photographs(&self, pace: &RuntimeEstimate, count: usize) -> f64 {
         let dense = pace.dense_depth * count as f64;
         let mapping = pace.mapping(&self.config, count, count) - dense;
         let finish = pace.finish(&self.config, count, count);
         let [over_dense, over_mapping, over_finish] = PHOTOGRAPH_PARTS;
-        let seconds = path + over_dense * dense + over_mapping * mapping + over_finish * finish;
-        Some(RuntimeForecast { is_unordered: true, ..self.forecast(seconds, count) })
+        over_dense * dense + over_mapping * mapping + over_finish * finish
     }
 
     /// A first forecast of a film.
@@ -156,6 +228,11 @@ impl Forecaster {
         let colour = self.sequence.load(0).ok()?.colour;
         RuntimeEstimate::measure(&self.config, camera, *frame_rate, (&colour, is_unordered))
     }
+}
+
+/// True if a forecast differs from the last one by what is worth telling.
+fn is_news(seconds: f64, last: f64) -> bool {
+    (seconds / last).ln().abs() > MIN_CHANGE
 }
 
 /// Time of finding the path of all `frames` [s], of which `done` were tracked in `elapsed`.

@@ -4,7 +4,7 @@ use super::RunOptions;
 use super::camera::CameraEstimate;
 use super::driver::{BetweenFrames, Input, Item, KEYFRAMES};
 use super::error::RunError;
-use super::forecast::Forecaster;
+use super::forecast::RunForecasts;
 use super::observer::{Observer, RunContext, Stage};
 use super::preview::MapPreview;
 use super::stream::TrackedFrames;
@@ -23,8 +23,7 @@ use i2slam_odometry::{FrameUpdate, FrontEnd, PoseDeviation};
 use i2slam_storage::listed;
 use std::collections::BTreeMap;
 use std::path::Path;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 use std::time::Instant;
 
 /// Longer side of the pictures for visual odometry, where they were recorded so large [px]:
@@ -35,6 +34,8 @@ pub(super) const ODOMETRY_SIDE: usize = 640;
 pub(super) struct FoundPath {
     pub(super) source: MonocularSource<BoxedLoader>,
     pub(super) mapped: Option<MappedFrames>,
+    /// Forecasts of the run, where it began with finding the path.
+    pub(super) forecasts: Option<Arc<RunForecasts>>,
 }
 
 /// Width and height of the pictures of a sequence that visual odometry sees [px]: larger than
@@ -81,7 +82,7 @@ pub(super) fn from_odometry(
     context: &RunContext,
 ) -> Result<Input<'static>, RunError> {
     let size = (sequence.camera.width, sequence.camera.height);
-    let FoundPath { source, mapped } = match tracked {
+    let FoundPath { source, mapped, forecasts } = match tracked {
         Some(TrackedFrames::Mapped(frames)) => frames.into_path(sequence, context)?,
         Some(TrackedFrames::Unmapped(pictures)) => {
             find_path(sequence, (estimate_distortion, Some(*pictures)), options, context)?
@@ -129,6 +130,10 @@ pub(super) fn from_odometry(
         true => source.with_photograph_motions(&context.cancellation),
         false => source,
     };
+    if let Some(forecasts) = forecasts.filter(|_| source.is_unordered()) {
+        let forecast = forecasts.after_placing(count);
+        forecast.iter().for_each(|forecast| context.observer.forecast(forecast));
+    }
     let on_estimated = |done, of| {
         context.observer.progress(Stage::DenseDepth, done, of);
         !context.cancellation.is_cancelled()
@@ -158,9 +163,8 @@ fn find_path(
     context: &RunContext,
 ) -> Result<FoundPath, RunError> {
     let large = sequence.at_least(ODOMETRY_SIDE);
-    let state = Arc::<TrackingState>::default();
-    let forecaster = Forecaster::new(&options.config, sequence);
-    let progress = odometry_progress(context, Some((forecaster, Arc::clone(&state))));
+    let forecasts = Arc::new(RunForecasts::new(&options.config, sequence));
+    let progress = odometry_progress(context, Some(Arc::clone(&forecasts)));
     let count = large.len();
     let tracked = if let Some(tracked) = tracked {
         let keyframes = tracked.given.keyframes;
@@ -171,13 +175,12 @@ fn find_path(
         let mut preview =
             MapPreview::start((sequence, sequence.frames_with_depth() > 0), options, context);
         let on_tracked = |front_end: &FrontEnd, update: &FrameUpdate, tracked: &Frame| {
-            state.is_unordered.store(front_end.is_unordered(), Ordering::Relaxed);
+            forecasts.set_unordered(front_end.is_unordered());
             stamped_pose(update, tracked).iter().for_each(|pose| context.observer.pose(pose));
             if let Some(preview) = &mut preview {
                 let started = Instant::now();
                 preview.add_from_file(front_end, update, tracked);
-                let taken = started.elapsed().as_micros() as u64;
-                state.preview_microseconds.fetch_add(taken, Ordering::Relaxed);
+                forecasts.add_preview(started.elapsed());
             }
         };
         let intrinsics = intrinsics(&large, estimate_distortion);
@@ -188,7 +191,7 @@ fn find_path(
     };
     let load: BoxedLoader = Box::new(move |place| picture(&large, place));
     match tracked.finish(load, &progress) {
-        Ok(source) => Ok(FoundPath { source, mapped: None }),
+        Ok(source) => Ok(FoundPath { source, mapped: None, forecasts: Some(forecasts) }),
         Err(MonocularError::NoPath { failure: OdometryError::Cancelled, .. }) => {
             Err(RunError::Cancelled { before: "the path of the camera was found" })
         }
@@ -224,35 +227,15 @@ pub(super) fn intrinsics(sequence: &Sequence, estimate_distortion: bool) -> Intr
     }
 }
 
-/// State of tracking that forecasts depend on.
-#[derive(Default)]
-struct TrackingState {
-    /// True if the pictures so far are photographs.
-    is_unordered: AtomicBool,
-    /// Time that a preview of the map took so far.
-    preview_microseconds: AtomicU64,
-}
-
 /// Passes the progress of visual odometry on, and a forecast as soon as there is one.
 fn odometry_progress(
     context: &RunContext,
-    forecaster: Option<(Forecaster, Arc<TrackingState>)>,
+    forecasts: Option<Arc<RunForecasts>>,
 ) -> OdometryProgress {
     let observer: Arc<dyn Observer> = Arc::clone(&context.observer);
-    let forecaster = Mutex::new(forecaster);
     OdometryProgress::new(context.cancellation.clone(), move |stage, done, of| {
         observer.progress(Stage::Odometry(stage), done, of);
-        let Ok(mut forecaster) = forecaster.lock() else { return };
-        let Some((forecaster, state)) = forecaster.as_mut() else { return };
-        let is_unordered = state.is_unordered.load(Ordering::Relaxed);
-        let preview = 1e-6 * state.preview_microseconds.load(Ordering::Relaxed) as f64;
-        let forecast = match stage {
-            keyframes::Stage::Tracking { keyframes } if !is_unordered => {
-                forecaster.after((done, keyframes), preview)
-            }
-            keyframes::Stage::Matching => forecaster.after_pairs(done, of),
-            _ => None,
-        };
+        let forecast = forecasts.as_ref().and_then(|all| all.after_progress(stage, done, of));
         forecast.iter().for_each(|forecast| observer.forecast(forecast));
     })
 }

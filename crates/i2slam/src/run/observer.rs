@@ -39,6 +39,7 @@ impl Stage {
             Self::Odometry(keyframes::Stage::Matching) => "matching photographs",
             Self::Odometry(keyframes::Stage::FocalLength) => "estimating the focal length",
             Self::Odometry(keyframes::Stage::Registration) => "finding camera poses",
+            Self::Odometry(keyframes::Stage::FirstPairs) => "trying other first pairs",
             Self::Odometry(keyframes::Stage::BundleAdjustment) => "adjusting camera poses",
             Self::Odometry(keyframes::Stage::RollingShutter) => "measuring the rolling shutter",
             Self::Odometry(keyframes::Stage::LoopClosure) => "closing loops",

@@ -114,7 +114,8 @@ impl OnlineFrames {
             Some(mapped) => mapped.path.clone(),
             None => in_usual_unit(path),
         };
-        Ok(FoundPath { source: MonocularSource::of_path(path, given, load), mapped })
+        let source = MonocularSource::of_path(path, given, load);
+        Ok(FoundPath { source, mapped, forecasts: None })
     }
 }
 

@@ -7,8 +7,10 @@
 use super::initialization::{InitialPair, begin_with, initial_pairs, leave_out_depth};
 use super::registration::{adjust_globally, register_keyframes};
 use crate::error::OdometryError;
+use crate::progress::Stage;
 use crate::sfm_state::SfmState;
 use rayon::prelude::*;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Maps beside the first one that are tried.
 const MORE_MAPS: usize = 3;
@@ -37,8 +39,15 @@ pub(crate) fn register_photographs(
         false => {
             let others: Vec<&InitialPair> = order.take(MORE_MAPS).collect();
             let quiet = SfmState { progress: state.progress.without_listener(), ..state.clone() };
-            let others: Vec<SfmState> =
-                others.par_iter().filter_map(|pair| map_from(&quiet, pair, adjust_focal)).collect();
+            let tried = AtomicUsize::new(0);
+            state.progress.report(Stage::FirstPairs, 0, others.len());
+            let try_pair = |pair: &&InitialPair| {
+                let map = map_from(&quiet, pair, adjust_focal);
+                let done = tried.fetch_add(1, Ordering::Relaxed) + 1;
+                state.progress.report(Stage::FirstPairs, done, others.len());
+                map
+            };
+            let others: Vec<SfmState> = others.par_iter().filter_map(try_pair).collect();
             best_of(std::iter::once(first).chain(others).collect())
                 .ok_or(OdometryError::NoConsistentMotion)?
         }
