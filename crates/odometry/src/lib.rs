@@ -87,6 +87,7 @@ mod register {
     pub(crate) mod dense_constraints;
     pub(crate) mod first_pairs;
     pub(crate) mod initialization;
+    pub(crate) mod missing_matches;
     pub(crate) mod photographs;
     pub(crate) mod position_refinement;
     pub(crate) mod registration;
