@@ -68,7 +68,7 @@ fn map_from(state: &SfmState, pair: &InitialPair, adjust_focal: bool) -> Option<
     register_keyframes(&mut map, adjust_focal, usize::MAX);
     adjust_globally(&mut map, adjust_focal);
     for _ in 0..MAX_CORRECTIONS {
-        if drop_contradicted(&mut map) == 0 {
+        if map.progress.is_cancelled() || drop_contradicted(&mut map) == 0 {
             break;
         }
         adjust_globally(&mut map, adjust_focal);

@@ -53,13 +53,20 @@ pub(crate) fn drop_contradicted(state: &mut SfmState) -> usize {
     let dropped: Vec<usize> =
         posed.iter().zip(&kept).filter(|(_, kept)| !**kept).map(|(frame, _)| *frame).collect();
     dropped.iter().for_each(|frame| state.poses[*frame] = None);
-    let (determined, by_frame) = (state.shared_landmarks(), Arc::clone(&state.by_frame));
-    for track in dropped.iter().flat_map(|frame| &by_frame[*frame]) {
-        if !determined[*track] {
-            state.landmarks[*track] = None;
+    dropped.iter().for_each(|frame| forget_observations(state, *frame));
+    dropped.len()
+}
+
+/// Takes the observations in a frame without a pose for outliers of landmarks that others determine, and drops
+/// those that rest on it.
+fn forget_observations(state: &mut SfmState, frame: usize) {
+    for track in Arc::clone(&state.by_frame)[frame].iter().copied() {
+        if state.adjusted_inliers(track).nth(1).is_none() {
+            state.landmarks[track] = None;
+        } else if let Some(observation) = state.tracks.tracks[track].observation_in_mut(frame) {
+            observation.is_outlier = true;
         }
     }
-    dropped.len()
 }
 
 /// The pairs of photographs that see the same landmarks from directions near enough.
