@@ -89,6 +89,11 @@ impl FinishedRun<'_> {
         rendered.failure.into_iter().for_each(|error| note(Err(error)));
         rendered.metrics.write_to(&mut measurements.metrics);
         measurements.metrics.peak_memory_bytes = peak_memory();
+        let budget = reconstruction.config.memory;
+        if let Some(warning) = over_budget(measurements.metrics.peak_memory_bytes, budget) {
+            progress.warn(&warning);
+            measurements.metrics.warnings.push(Warning::from(warning.as_str()));
+        }
         measurements.metrics.complete = self.outcome.complete;
         let title = self.job.title.unwrap_or(&self.sequence.name);
         let page = ViewerPage::of(title, reconstruction, &files);
@@ -211,8 +216,6 @@ impl Measurements {
             }
         }
         let mut measurements = Self { metrics, truth_in_world: Vec::new(), warnings: Vec::new() };
-        let budget = reconstruction.config.memory;
-        measurements.warnings.extend(over_budget(measurements.metrics.peak_memory_bytes, budget));
         measurements.measure_trajectory(outcome, sequence, truth);
         measurements.measure_exposure(outcome, truth);
         measurements
@@ -273,10 +276,13 @@ fn absolute_source(source: String) -> String {
     absolute.map_or(source, |path| path.display().to_string())
 }
 
+/// Memory over the budget that is worth a warning: this bounds it about.
+const MIN_EXCESS: f64 = 1.05;
+
 /// A warning if a run has taken more memory [bytes] than its budget [GB].
 fn over_budget(peak: Option<u64>, budget: f64) -> Option<String> {
     let peak = peak? as f64 * 1e-9;
-    (peak > budget).then(|| {
+    (peak > MIN_EXCESS * budget).then(|| {
         format!(
             "{peak:.2} GB of memory were taken, more than the {budget} GB of --memory: only pictures wait \
              in a file, the map and its optimisation need the rest (--max-side makes both smaller)"
@@ -320,6 +326,8 @@ mod tests {
     fn memory_above_its_budget_is_told() {
         let told = over_budget(Some(1_310_000_000), 1.0).expect("a warning");
         assert!(told.starts_with("1.31 GB of memory were taken, more than the 1 GB of"), "{told}");
-        assert!(over_budget(Some(999_000_000), 1.0).is_none() && over_budget(None, 1.0).is_none());
+        assert!(
+            over_budget(Some(1_040_000_000), 1.0).is_none() && over_budget(None, 1.0).is_none()
+        );
     }
 }

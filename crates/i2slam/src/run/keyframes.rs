@@ -130,10 +130,10 @@ pub(super) fn from_odometry(
         true => source.with_photograph_motions(&context.cancellation),
         false => source,
     };
-    if let Some(forecasts) = forecasts.filter(|_| source.is_unordered()) {
-        let forecast = forecasts.after_placing(count);
-        forecast.iter().for_each(|forecast| context.observer.forecast(forecast));
-    }
+    let forecasts =
+        forecasts.filter(|_| source.is_unordered() && !context.cancellation.is_cancelled());
+    let forecast = forecasts.and_then(|forecasts| forecasts.after_placing(count));
+    forecast.iter().for_each(|forecast| context.observer.forecast(forecast));
     let on_estimated = |done, of| {
         context.observer.progress(Stage::DenseDepth, done, of);
         !context.cancellation.is_cancelled()

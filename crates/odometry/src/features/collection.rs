@@ -71,6 +71,9 @@ pub(crate) struct PhotographFeature {
 /// Photographs matched with each other.
 #[derive(Clone, Debug)]
 pub(crate) struct MatchedPhotographs {
+    /// Frames of all pairs that were compared, the lower one first.
+    pub(crate) compared: Arc<Vec<[usize; 2]>>,
+    /// Those whose matches count.
     pub(crate) pairs: Vec<PhotographPair>,
     /// Features of every frame.
     pub(crate) features: BTreeMap<usize, Vec<PhotographFeature>>,
@@ -216,7 +219,9 @@ impl PhotoCollection {
         };
         let features = features.iter().enumerate().map(of_view).collect();
         let pairs = matched.into_iter().map(pair).collect();
-        (MatchedPhotographs { pairs, features, registered_anew: BTreeSet::new() }, tracks)
+        let compared = compared.iter().map(|&(a, b)| [frames[a], frames[b]]).collect();
+        let (compared, registered_anew) = (Arc::new(compared), BTreeSet::new());
+        (MatchedPhotographs { compared, pairs, features, registered_anew }, tracks)
     }
 }
 

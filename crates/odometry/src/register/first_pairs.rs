@@ -11,7 +11,7 @@ use crate::error::OdometryError;
 use crate::progress::Stage;
 use crate::sfm_state::SfmState;
 use rayon::prelude::*;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::Mutex;
 
 /// Maps beside the first one that are tried.
 const MORE_MAPS: usize = 3;
@@ -42,12 +42,15 @@ pub(crate) fn register_photographs(
         false => {
             let others: Vec<&InitialPair> = order.take(MORE_MAPS).collect();
             let quiet = SfmState { progress: state.progress.without_listener(), ..state.clone() };
-            let tried = AtomicUsize::new(0);
+            let tried = Mutex::new(0);
             state.progress.report(Stage::FirstPairs, 0, others.len());
             let try_pair = |pair: &&InitialPair| {
                 let map = map_from(&quiet, pair, adjust_focal);
-                let done = tried.fetch_add(1, Ordering::Relaxed) + 1;
-                state.progress.report(Stage::FirstPairs, done, others.len());
+                // Reports come in the order of their counts.
+                if let Ok(mut tried) = tried.lock() {
+                    *tried += 1;
+                    state.progress.report(Stage::FirstPairs, *tried, others.len());
+                }
                 map
             };
             let others: Vec<SfmState> = others.par_iter().filter_map(try_pair).collect();

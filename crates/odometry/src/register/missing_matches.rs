@@ -4,9 +4,10 @@
 //! that agree. From there it would see everything that its new neighbours see, and of most of that it shows
 //! nothing: matches that are due and missing (Zach et al. 2010) tell the two apart.
 
+use crate::multiview::landmark::Landmark;
 use crate::sfm_state::SfmState;
 use i2slam_compute::median;
-use i2slam_geometry::{Pose, Vec3};
+use i2slam_geometry::{Camera, Vec3};
 use rayon::prelude::*;
 use std::cmp::Reverse;
 use std::collections::BTreeSet;
@@ -18,6 +19,8 @@ const MIN_VISIBLE: usize = 8;
 /// expected share falls in proportion: measured 0.2 at 15 to 30 degrees, 0.1 at 30 to 45, 0.02 beyond [rad].
 const MAX_ANGLE: f64 = 0.7;
 const UNMATCHED_ANGLE: f64 = 0.87;
+/// Ratio of the distances of a landmark from two photographs beyond which features differ in scale.
+const MAX_DISTANCE_RATIO: f64 = 2.0;
 /// Share of the expected matches that two photographs of one place have, at least. Measured in parts of maps of
 /// four scenes 0.22 and more where they were right, and up to 0.13 where a part lay on another place.
 const MIN_MATCHED: f64 = 0.18;
@@ -32,92 +35,107 @@ struct Overlap {
     expected: f64,
 }
 
-/// Drops the poses of photographs that the larger part of the map contradicts, and all matches with photographs
-/// from near which they do not show what these do: those are of other surfaces. Returns how many.
+/// Drops the poses of photographs that the larger part of the map contradicts, and their matches with those of
+/// this part from near which they should show the same: these are of other surfaces. Returns how many.
 pub(crate) fn drop_contradicted(state: &mut SfmState) -> usize {
+    let Some(photographs) = state.photographs.clone() else { return 0 };
     let posed = state.posed_frames();
-    let overlaps = overlaps(state, &posed);
+    let overlaps = overlaps(state, &photographs.compared, &posed);
+    if state.progress.is_cancelled() {
+        return 0;
+    }
     let kept = consistent_part(posed.len(), &agreement(posed.len(), &overlaps));
     let is_between =
         |overlap: &&Overlap| kept[overlap.photographs[0]] != kept[overlap.photographs[1]];
     let between = overlaps.iter().filter(is_between);
-    // Places and frames are in one order.
     let between: BTreeSet<[usize; 2]> =
         between.map(|overlap| overlap.photographs.map(|place| posed[place])).collect();
-    if let Some(photographs) = state.photographs.as_mut().filter(|_| !between.is_empty()) {
-        let is_kept = |first: usize, second: usize| {
-            !between.contains(&[first.min(second), first.max(second)])
-        };
-        Arc::make_mut(photographs).pairs.retain(|pair| is_kept(pair.first, pair.second));
-    }
+    let mut photographs = Arc::unwrap_or_clone(photographs);
+    photographs.pairs.retain(|pair| {
+        !between.contains(&[pair.first.min(pair.second), pair.first.max(pair.second)])
+    });
     let dropped: Vec<usize> =
         posed.iter().zip(&kept).filter(|(_, kept)| !**kept).map(|(frame, _)| *frame).collect();
     dropped.iter().for_each(|frame| state.poses[*frame] = None);
     dropped.iter().for_each(|frame| forget_observations(state, *frame));
+    state.photographs = Some(Arc::new(photographs));
     dropped.len()
 }
 
 /// Takes the observations in a frame without a pose for outliers of landmarks that others determine, and drops
-/// those that rest on it.
+/// landmarks that rest on it, of whose observations all may be right.
 fn forget_observations(state: &mut SfmState, frame: usize) {
     for track in Arc::clone(&state.by_frame)[frame].iter().copied() {
-        if state.adjusted_inliers(track).nth(1).is_none() {
+        let is_determined = state.adjusted_inliers(track).nth(1).is_some();
+        let observations = &mut state.tracks.tracks[track].observations;
+        if is_determined {
+            let own = observations.iter_mut().filter(|o| o.frame == frame);
+            own.for_each(|o| o.is_outlier = true);
+        } else {
             state.landmarks[track] = None;
-        } else if let Some(observation) = state.tracks.tracks[track].observation_in_mut(frame) {
-            observation.is_outlier = true;
+            observations.iter_mut().for_each(|o| o.is_outlier = false);
         }
     }
 }
 
-/// The pairs of photographs that see the same landmarks from directions near enough.
-fn overlaps(state: &SfmState, posed: &[usize]) -> Vec<Overlap> {
-    let pairs: Vec<[usize; 2]> =
-        (0..posed.len()).flat_map(|a| (a + 1..posed.len()).map(move |b| [a, b])).collect();
-    let overlap = |&[a, b]: &[usize; 2]| {
-        let there = view_of(state, [posed[a], posed[b]])?;
-        let back = view_of(state, [posed[b], posed[a]])?;
+/// Those of the compared pairs of photographs that see the same landmarks from directions near enough.
+fn overlaps(state: &SfmState, compared: &[[usize; 2]], posed: &[usize]) -> Vec<Overlap> {
+    let place = |frame: &usize| posed.binary_search(frame).ok();
+    let overlap = |[a, b]: &[usize; 2]| {
+        let photographs = [place(a)?, place(b)?];
+        if state.progress.is_cancelled() {
+            return None;
+        }
+        let there = view_of(state, [*a, *b])?;
+        let back = view_of(state, [*b, *a])?;
         let (matched, expected) = if back.0 > there.0 { back } else { there };
-        Some(Overlap { photographs: [a, b], matched, expected })
+        Some(Overlap { photographs, matched, expected })
     };
-    pairs.par_iter().filter_map(overlap).collect()
+    compared.par_iter().filter_map(overlap).collect()
 }
 
 /// Share of the landmarks of one photograph within the picture of another that this shows, and the expected
 /// share up to a factor; `None` for few landmarks or a large angle.
 fn view_of(state: &SfmState, [frame, other]: [usize; 2]) -> Option<(f64, f64)> {
     let (own, seen_from) = (state.poses[frame]?, state.poses[other]?);
+    let other_from_world = seen_from.inverse();
     let (mut visible, mut shared, mut angles) = (0_usize, 0_usize, 0.0);
     for (track, observation) in state.observations_in(frame) {
-        let Some(landmark) = state.landmarks[track].as_ref().filter(|_| !observation.is_outlier)
-        else {
-            continue;
-        };
+        let landmark = state.landmarks[track].as_ref().filter(|_| !observation.is_outlier);
+        let Some(point) = landmark.map(Landmark::position) else { continue };
+        let rays = [own, seen_from].map(|pose| pose.translation - point);
         // Without the other one: what two photographs alone show says nothing of what the second should show.
-        let is_determined =
-            state.adjusted_inliers(track).filter(|o| o.frame != other).nth(1).is_some();
-        let point = landmark.position();
-        if !is_determined || !is_within(state, seen_from, point) {
+        let mut without = state.adjusted_inliers(track).filter(|o| o.frame != other);
+        if !is_within(&state.camera, other_from_world * point)
+            || !is_of_one_scale(rays)
+            || without.nth(1).is_none()
+        {
             continue;
         }
         visible += 1;
         let there = state.tracks.tracks[track].observation_in(other);
         shared += usize::from(there.is_some_and(|o| !o.is_outlier));
-        angles += angle(own.translation - point, seen_from.translation - point);
+        angles += angle(rays);
     }
     let mean_angle = angles / visible.max(1) as f64;
     (visible >= MIN_VISIBLE && mean_angle < MAX_ANGLE)
         .then(|| (shared as f64 / visible as f64, 1.0 - mean_angle / UNMATCHED_ANGLE))
 }
 
-/// True if a camera at a pose sees a point.
-fn is_within(state: &SfmState, pose: Pose<f64>, point: Vec3<f64>) -> bool {
-    let seen = pose.inverse() * point;
-    let (u, v) = state.camera.project(seen);
-    let (width, height) = (state.camera.width as f64, state.camera.height as f64);
-    seen.z > 0.0 && (0.0..width).contains(&u) && (0.0..height).contains(&v)
+/// True if a camera sees a point in its frame.
+fn is_within(camera: &Camera<f64>, point: Vec3<f64>) -> bool {
+    let (u, v) = camera.project(point);
+    let (width, height) = (camera.width as f64, camera.height as f64);
+    point.z > 0.0 && (0.0..width).contains(&u) && (0.0..height).contains(&v)
 }
 
-fn angle(a: Vec3<f64>, b: Vec3<f64>) -> f64 {
+/// True if features at the ends of two rays are of about one size.
+fn is_of_one_scale(rays: [Vec3<f64>; 2]) -> bool {
+    let [a, b] = rays.map(Vec3::norm);
+    a < MAX_DISTANCE_RATIO * b && b < MAX_DISTANCE_RATIO * a
+}
+
+fn angle([a, b]: [Vec3<f64>; 2]) -> f64 {
     (a.dot(b) / (a.norm() * b.norm())).clamp(-1.0, 1.0).acos()
 }
 
@@ -180,8 +198,11 @@ fn agreeing_parts(count: usize, agreement: &[Vec<f64>]) -> Vec<Vec<usize>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::features::collection::{MatchedPhotographs, PhotographPair};
     use crate::fixtures::{camera, state};
-    use i2slam_geometry::Rotation;
+    use crate::track::tracks::Observation;
+    use i2slam_geometry::{Pose, Rotation};
+    use std::collections::BTreeMap;
 
     /// Six photographs that see all points, and two of another place that lie among them.
     #[test]
@@ -192,7 +213,18 @@ mod tests {
             let seen = pose(frame).inverse() * point;
             (seen.z > 0.0).then(|| camera().project(seen).into())
         };
-        let right = state((8, 30, 1), [60.0, 40.0], pose, observe);
+        let mut right = state((8, 30, 1), [60.0, 40.0], pose, observe);
+        let pair = |(first, second)| {
+            let (matches, second_from_first) = (Vec::new(), None);
+            PhotographPair { first, second, matches, second_from_first }
+        };
+        let all_pairs = (0..8).flat_map(|a| (a + 1..8).map(move |b| [a, b]));
+        right.photographs = Some(Arc::new(MatchedPhotographs {
+            compared: Arc::new(all_pairs.collect()),
+            pairs: [(0, 1), (3, 5), (4, 3)].map(pair).into(),
+            features: BTreeMap::new(),
+            registered_anew: BTreeSet::new(),
+        }));
         let mut all_right = right.clone();
         assert_eq!(drop_contradicted(&mut all_right), 0);
         assert_eq!(all_right.poses, right.poses);
@@ -210,7 +242,14 @@ mod tests {
             tracks.filter(|(_, t)| t.observation_in(frame).is_some()).map(|(i, _)| i).collect()
         };
         wrong.by_frame = Arc::new((0..8).map(by_frame).collect());
+        // Matched by mistake.
+        wrong.add_observations(vec![(0, Observation::new(3, [0.0, 0.0], 0.3))]);
         assert_eq!(drop_contradicted(&mut wrong), 2);
+        let mistake = wrong.tracks.tracks[0].observation_in(3).expect("an observation");
+        assert!(mistake.is_outlier);
+        let photographs = wrong.photographs.as_ref().expect("photographs");
+        let left: Vec<_> = photographs.pairs.iter().map(|pair| (pair.first, pair.second)).collect();
+        assert_eq!(left, [(0, 1), (3, 5)]);
         let posed: Vec<usize> = (0..8).filter(|frame| !is_of_other_place(*frame)).collect();
         assert_eq!(wrong.posed_frames(), posed);
         let of_others =
