@@ -31,7 +31,7 @@ struct Overlap {
     photographs: [usize; 2],
     /// Share of these landmarks that both show, of the one that has more of them.
     matched: f64,
-    /// The same share as the angle between the views lets expect, up to a factor of the map.
+    /// Share that the angle between the views lets expect, up to a factor of the map.
     expected: f64,
 }
 
@@ -139,7 +139,7 @@ fn angle([a, b]: [Vec3<f64>; 2]) -> f64 {
     (a.dot(b) / (a.norm() * b.norm())).clamp(-1.0, 1.0).acos()
 }
 
-/// How far the matches of every two photographs are above the share that one place asks for; 0 for those that
+/// Excess of the matches of every two photographs over the share that one place asks for; 0 for those that
 /// see nothing in common.
 fn agreement(count: usize, overlaps: &[Overlap]) -> Vec<Vec<f64>> {
     // Features are found again more often in sharp pictures than in blurred ones.
