@@ -7,6 +7,7 @@ mod flat_gaussians;
 mod merge;
 mod optimizer;
 mod partition;
+mod picture_noise;
 mod scale_bounds;
 mod splitting;
 mod view_dependence;

@@ -11,6 +11,7 @@
 //! the axis that leaves less in the halves, any other rectangle along its longer one (a k-d tree whose
 //! cells are at most twice as long as wide).
 
+use super::picture_noise::PictureNoise;
 use i2slam_compute::median;
 use i2slam_geometry::{Camera, Image, Vec3};
 
@@ -26,8 +27,6 @@ const DEPTH_NOISE_FACTOR: f32 = 2.0;
 const MIN_DETAIL: f32 = 0.01;
 /// Distance of a surface from a plane that does not count, as a share of the longer edge.
 const MAX_RELIEF: f32 = 0.25;
-/// Ratio of the median of the absolute value of a normal variable to its standard deviation.
-const MEDIAN_OVER_DEVIATION: f32 = 0.674_5;
 
 /// A rectangle of pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -84,7 +83,7 @@ pub(super) struct Partition<'a> {
     colour: &'a Image<f32>,
     inverse_depth: Vec<f32>,
     focal: f32,
-    max_detail: f32,
+    noise: PictureNoise,
     depth_noise: f32,
 }
 
@@ -93,11 +92,13 @@ impl<'a> Partition<'a> {
     pub(super) fn new(colour: &'a Image<f32>, depth: &Image<f32>, focal: f32) -> Self {
         let inverse_depth =
             depth.data.iter().map(|&z| if z > 0.0 { 1.0 / z } else { 0.0 }).collect();
-        let mut partition =
-            Self { colour, inverse_depth, focal, max_detail: 0.0, depth_noise: 0.0 };
-        let colour_noise =
-            (0..3).map(|c| partition.pixel_noise(colour.plane(c))).sum::<f32>() / 3.0;
-        partition.max_detail = MIN_DETAIL.max(COLOUR_NOISE_FACTOR * colour_noise);
+        let mut partition = Self {
+            colour,
+            inverse_depth,
+            focal,
+            noise: PictureNoise::new(colour),
+            depth_noise: 0.0,
+        };
         partition.depth_noise = partition.plane_noise();
         partition
     }
@@ -126,9 +127,19 @@ impl<'a> Partition<'a> {
         sizes
     }
 
-    /// Picture deviation up to which a rectangle counts as plain.
-    pub(super) fn max_detail(&self) -> f32 {
-        self.max_detail
+    /// Deviation of a channel about a value up to which a rectangle counts as plain.
+    pub(super) fn max_detail(&self, channel: usize, value: f32) -> f32 {
+        MIN_DETAIL.max(COLOUR_NOISE_FACTOR * self.noise.deviation(channel, value))
+    }
+
+    /// Square of the deviations of colour from an affine function over a rectangle, over those up to which it
+    /// counts as plain, summed over the channels.
+    fn detail(&self, at: [usize; 2], edges: [usize; 2]) -> f32 {
+        let of_channel = |c: usize| {
+            let Affine { value, deviation, .. } = self.fit(self.colour.plane(c), at, edges);
+            (deviation / self.max_detail(c, value)).powi(2)
+        };
+        (0..3).map(of_channel).sum()
     }
 
     /// Divides a rectangle; `plane` is the slope of the plane that a larger one around it lies on.
@@ -194,11 +205,9 @@ impl<'a> Partition<'a> {
         half[axis] /= 2;
         second[axis] += half[axis];
         let cost = |at| {
-            let colours = (0..3).map(|c| self.fit(self.colour.plane(c), at, half).deviation);
             let depth = self.fit(&self.inverse_depth, at, half);
             let relief = self.max_relief(depth.value, edges);
-            let colours: f32 = colours.map(|d| (d / self.max_detail).powi(2)).sum();
-            colours + (depth.deviation / relief).powi(2)
+            self.detail(at, half) + (depth.deviation / relief).powi(2)
         };
         cost(at) + cost(second)
     }
@@ -239,8 +248,7 @@ impl<'a> Partition<'a> {
     /// Tells if colour is affine over a rectangle: by the mean square over the channels, because
     /// the largest of three is beyond 1.5 deviations in a third of all rectangles of mere noise.
     fn is_plain(&self, at: [usize; 2], edges: [usize; 2]) -> bool {
-        let deviations = (0..3).map(|c| self.fit(self.colour.plane(c), at, edges).deviation);
-        deviations.map(|d| d * d).sum::<f32>() <= 3.0 * self.max_detail * self.max_detail
+        self.detail(at, edges) <= 3.0
     }
 
     /// Least-squares affine function over a rectangle; a constant over two pixels.
@@ -269,11 +277,6 @@ impl<'a> Partition<'a> {
         let rest = squares - sum * sum / n - slope[0] * by_u - slope[1] * by_v;
         let freedom = (n - fitted).max(1.0);
         Affine { value: origin + sum / n, slope, deviation: (rest.max(0.0) / freedom).sqrt() }
-    }
-
-    /// Standard deviation of what is not affine over squares of two pixels, by its median.
-    fn pixel_noise(&self, plane: &[f32]) -> f32 {
-        self.median_deviation(plane, 2, |_| true) / MEDIAN_OVER_DEVIATION
     }
 
     /// Median deviation of inverse depth from planes.

@@ -48,7 +48,8 @@ impl Demand {
     fn new(colour: &Image<f32>, prediction: &Image<f32>, partition: &Partition<'_>) -> Self {
         let (width, height) = (colour.width, colour.height);
         let mut finest = partition.sizes();
-        let is_wrong = wrong_pixels(colour, prediction, MAX_ERROR * partition.max_detail());
+        let limit = |c: usize, value: f32| MAX_ERROR * partition.max_detail(c, value);
+        let is_wrong = wrong_pixels(colour, prediction, limit);
         let right = finest.iter_mut().zip(is_wrong).filter(|(_, is_wrong)| !is_wrong);
         right.for_each(|(size, _)| *size = NOTHING);
         let mut size = [width, height];
@@ -80,8 +81,13 @@ fn halved(fine: &[u8], [width, height]: [usize; 2]) -> Vec<u8> {
     coarse
 }
 
-/// Pixels whose prediction is off by more than `limit` and what a small shift explains.
-fn wrong_pixels(colour: &Image<f32>, prediction: &Image<f32>, limit: f32) -> Vec<bool> {
+/// Pixels whose prediction is off by more than the limit of a channel about its value, and what a small
+/// shift explains.
+fn wrong_pixels(
+    colour: &Image<f32>,
+    prediction: &Image<f32>,
+    limit: impl Fn(usize, f32) -> f32,
+) -> Vec<bool> {
     let (width, height) = (colour.width, colour.height);
     let is_wrong = |pixel: usize, c: usize| {
         let (x, y, plane) = (pixel % width, pixel / width, colour.plane(c));
@@ -90,7 +96,8 @@ fn wrong_pixels(colour: &Image<f32>, prediction: &Image<f32>, limit: f32) -> Vec
         let down =
             plane[(y + 1).min(height - 1) * width + x] - plane[y.saturating_sub(1) * width + x];
         let slope = 0.5 * along.hypot(down);
-        (prediction.plane(c)[pixel] - plane[pixel]).abs() > limit + MAX_SHIFT * slope
+        let predicted = prediction.plane(c)[pixel];
+        (predicted - plane[pixel]).abs() > limit(c, predicted) + MAX_SHIFT * slope
     };
     (0..width * height).map(|pixel| (0..3).any(|c| is_wrong(pixel, c))).collect()
 }
