@@ -281,17 +281,14 @@ impl<'a> Partition<'a> {
 
     /// Median deviation of inverse depth from planes.
     fn plane_noise(&self) -> f32 {
-        self.median_deviation(&self.inverse_depth, NOISE_SIZE, |w| w > 0.0)
-    }
-
-    fn median_deviation(&self, plane: &[f32], size: usize, known: impl Fn(f32) -> bool) -> f32 {
+        let (size, plane) = (NOISE_SIZE, &self.inverse_depth);
         let (width, height) = (self.colour.width, self.colour.height);
         let mut deviations = Vec::new();
         for row in (0..(height + 1).saturating_sub(size)).step_by(size) {
             for column in (0..(width + 1).saturating_sub(size)).step_by(size) {
-                let all = (row..row + size)
-                    .all(|y| plane[y * width + column..][..size].iter().all(|&w| known(w)));
-                if all {
+                let is_known = (row..row + size)
+                    .all(|y| plane[y * width + column..][..size].iter().all(|&w| w > 0.0));
+                if is_known {
                     deviations.push(self.fit(plane, [column, row], [size; 2]).deviation);
                 }
             }
