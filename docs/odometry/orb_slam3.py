@@ -1,4 +1,4 @@
-"""ORB-SLAM3, by colour alone or with depth, for the table of docs/results.md.
+"""ORB-SLAM3, by colour alone or with depth, for the table of docs/experiments/path.md.
 
     pip install orbslam3-python==2.0.0 numpy
     python3 orb_slam3.py train VOCABULARY.txt SEQUENCE...

@@ -1,4 +1,4 @@
-"""Frame-to-frame odometry with depth, for the table of docs/results.md.
+"""Frame-to-frame odometry with depth, for the table of docs/experiments/path.md.
 
     pip install opencv-contrib-python-headless==4.10.0.84 open3d==0.19.0 numpy
     i2slam degrade SEQUENCE --out COPY        # undistorted, in the TUM layout, with camera.json

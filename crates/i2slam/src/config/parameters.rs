@@ -241,7 +241,7 @@ const PAPER_RGB: Parameters = Parameters {
     ..PAPER
 };
 
-/// Ours for frames that are tracked against the map, chosen by measurement (docs/results.md).
+/// Ours for frames that are tracked against the map, chosen by measurement (docs/experiments).
 const DEFAULT: Parameters = Parameters {
     frames: FrameParameters {
         response_node_power: 2.5, // dense in the shadows
@@ -267,7 +267,7 @@ const DEFAULT: Parameters = Parameters {
     ..PAPER
 };
 
-/// Ours for keyframes that come with poses, chosen by measurement (docs/results.md).
+/// Ours for keyframes that come with poses, chosen by measurement (docs/experiments).
 const DEFAULT_RGB: Parameters = Parameters {
     frames: FrameParameters {
         white_balance_rate: 5e-3,
