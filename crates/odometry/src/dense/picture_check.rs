@@ -4,8 +4,9 @@
 //! Two views that have read the same surface show the same there, unless it is a mirror, polished, or
 //! a pane. The evidence against a reading is the logarithm of the ratio of matching costs by readings
 //! and by swept depth, where the two differ; costs are proportional to the variance of what a match
-//! leaves. Windows that a neighbour does not see in full say nothing: beside edges a sweep finds the
-//! nearer surface.
+//! leaves. The better the match by swept depth, the more it counts: between blurred or clipped pictures
+//! a sweep takes the least of many poor matches. Windows that a neighbour does not see in full say
+//! nothing: beside edges a sweep finds the nearer surface.
 
 use super::depth_filter::{largest_difference, other_reading, square_filter};
 use super::inverse_depth::{InverseDepthEstimate, MIN_COST};
@@ -22,6 +23,9 @@ const MIN_SUPPORT: f32 = 0.1;
 /// Ratio of costs by which readings must be worse than swept depth, where they differ, to outweigh as
 /// many that agree with it.
 const MIN_COST_RATIO: f32 = 1.5;
+/// Power of the correlation by swept depth that evidence against a reading is weighted with: half at a
+/// cost of 0.11, a tenth at 0.32 (docs/experiments/depth.md).
+const CORRELATION_POWER: i32 = 6;
 
 /// Evidence against the reading of every pixel, above 0 where it is contradicted. `confirmed` tells for
 /// each neighbour of `sweep` which readings it has read as well.
@@ -40,7 +44,7 @@ pub(super) fn evidence_against(
         *tells = 1.0;
         *single = match agree(readings, swept, pixel) {
             true => -MIN_COST_RATIO.ln(),
-            false => (read.max(MIN_COST) / swept_cost.max(MIN_COST)).ln(),
+            false => evidence_of_costs(read, swept_cost),
         };
     }
     let (mut rows, mut means, mut support) = (Vec::new(), Vec::new(), Vec::new());
@@ -55,6 +59,12 @@ pub(super) fn evidence_against(
         }
     }
     out
+}
+
+/// `ln(C_r / C_s) · (1 − C_s)⁶` of the matching costs, 0 to 1, by reading and by swept depth.
+fn evidence_of_costs(by_reading: f32, by_sweep: f32) -> f32 {
+    let [read, swept] = [by_reading, by_sweep].map(|cost| cost.max(MIN_COST));
+    (read / swept).ln() * (1.0 - swept).powi(CORRELATION_POWER)
 }
 
 /// Adds the evidence against readings of another view (with `other_from_own`) to that of pixels that
@@ -128,4 +138,25 @@ pub(super) fn agree(
 ) -> bool {
     let [a, b] = [readings, swept].map(|e| (e.inverse_depth.data[pixel], e.variance.data[pixel]));
     (a.0 - b.0).abs() <= largest_difference(a.1 + b.1, a.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn poor_matches_say_less_than_good_ones() {
+        // The ratio of costs is two in all three; pictures correlate by 0.95, 0.8 and 0.5.
+        let [good, fair, poor] =
+            [[0.1, 0.05], [0.4, 0.2], [1.0, 0.5]].map(|[r, s]| evidence_of_costs(r, s));
+        assert!((good - 2.0_f32.ln() * 0.95_f32.powi(6)).abs() < 1e-6);
+        assert!(fair < 0.4 * good && poor < 0.03 * good && poor > 0.0, "{good} {fair} {poor}");
+    }
+
+    #[test]
+    fn costs_of_rounding_are_equal() {
+        assert_eq!(evidence_of_costs(0.5 * MIN_COST, 0.0), 0.0);
+        assert!(evidence_of_costs(0.2, 0.0).is_finite());
+        assert_eq!(evidence_of_costs(1.0, 1.0), 0.0);
+    }
 }
