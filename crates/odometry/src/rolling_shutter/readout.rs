@@ -6,11 +6,13 @@
 
 use crate::multiview::landmark::Landmark;
 use crate::multiview::lens_distortion::undistort;
+use crate::multiview::robust_loss::length;
 use crate::progress::Stage;
 use crate::rolling_shutter::frame_motion::{FrameMotion, MAX_GAP};
 use crate::sfm_state::{MAX_READOUT, SfmState};
+use crate::track::tracks::Track;
 use i2slam_compute::median;
-use i2slam_geometry::{Pose, StampedPose, interpolate_pose};
+use i2slam_geometry::{Camera, Pose, StampedPose, interpolate_pose};
 use std::sync::Arc;
 
 /// Steps of the first and of later searches [frame intervals].
@@ -19,6 +21,9 @@ const FINE_STEP: f64 = 0.2;
 /// Largest cost relative to a global shutter at which a readout is accepted.
 pub(crate) const MAX_COST_RATIO: f64 = 0.97;
 const ADJUSTMENT_STEPS: usize = 8;
+/// Distance from the tracked motion by which that of a landmark may exceed that of a point far away
+/// [standard deviations of its position].
+const MAX_MOTION_ERROR: f64 = 3.0;
 /// Stretches of a long sequence that are searched, and frames of each.
 const SAMPLE_STRETCHES: usize = 3;
 const STRETCH_FRAMES: usize = 100;
@@ -191,25 +196,63 @@ pub(crate) fn correct_observations_in(
     let motion = if readout == 0.0 { None } else { around() };
     let (camera, distortion, by_frame) =
         (state.camera, state.distortion, Arc::clone(&state.by_frame));
-    for track in &by_frame[frame] {
-        let Some(o) = state.tracks.tracks[*track].observation_in_mut(frame) else { continue };
+    for index in &by_frame[frame] {
+        let (track, landmark) = (&mut state.tracks.tracks[*index], &state.landmarks[*index]);
+        let Some(o) = track.observation_in(frame) else { continue };
         let flat = undistort(&camera, distortion, o.raw());
-        if readout == 0.0 {
-            *o = o.moved_to(flat);
-            continue;
-        }
-        let Some(motion) = &motion else { continue };
-        let pose = motion.world_from_camera;
-        let far = || Landmark::on_ray(&camera, pose, flat, 0.0);
-        let landmark = state.landmarks[*track].unwrap_or_else(far);
         let late = readout * (o.raw()[1] / camera.height as f64 - 0.5);
-        let then = motion.pose_at(late);
-        let positions =
-            (landmark.image_position(&camera, &pose), landmark.image_position(&camera, &then));
-        if let (Some(now), Some(then)) = positions {
-            *o = o.moved_to(std::array::from_fn(|i| flat[i] - (then[i] - now[i])));
+        let moved = match &motion {
+            Some(motion) => {
+                let tracked = tracked_velocity(track, frame, timestamps);
+                let tracked = tracked.map(|v| (v.map(|v| v * late), MAX_MOTION_ERROR * o.sigma()));
+                let landmark = (landmark.as_ref(), flat);
+                picture_motion(&camera, motion, landmark, late, tracked)
+            }
+            None => (readout == 0.0).then_some([0.0; 2]),
+        };
+        if let (Some(moved), Some(o)) = (moved, track.observation_in_mut(frame)) {
+            *o = o.moved_to([flat[0] - moved[0], flat[1] - moved[1]]);
         }
     }
+}
+
+/// How far a point moves in the picture some time after a frame [px]: its landmark, or else one on its
+/// ray far away where there is none or the far one moves more as was `tracked`, by more than the error.
+///
+/// A landmark of wrong depth close to the camera would move by thousands of pixels.
+fn picture_motion(
+    camera: &Camera<f64>,
+    motion: &FrameMotion,
+    (landmark, at): (Option<&Landmark>, [f64; 2]),
+    late: f64,
+    tracked: Option<([f64; 2], f64)>,
+) -> Option<[f64; 2]> {
+    let (now, then) = (motion.world_from_camera, motion.pose_at(late));
+    let moved = |landmark: &Landmark| {
+        let [now, then] = [now, then].map(|pose| landmark.image_position(camera, &pose));
+        now.zip(then).map(|(now, then)| [then[0] - now[0], then[1] - now[1]])
+    };
+    let far = moved(&Landmark::on_ray(camera, now, at, 0.0));
+    let is_tracked = |near: &[f64; 2]| match (tracked, far) {
+        (Some((tracked, error)), Some(far)) => {
+            let [near, far] =
+                [*near, far].map(|moved| length([moved[0] - tracked[0], moved[1] - tracked[1]]));
+            near <= far + error
+        }
+        _ => true,
+    };
+    landmark.and_then(moved).filter(is_tracked).or(far)
+}
+
+/// Velocity of a point in the picture between its observations before and after a frame [px/s].
+fn tracked_velocity(track: &Track, frame: usize, timestamps: &[f64]) -> Option<[f64; 2]> {
+    let all = &track.observations;
+    let place = all.partition_point(|o| o.frame < frame);
+    let from = all.get(place.saturating_sub(1))?;
+    let to = all.get(place + 1).or(all.last())?;
+    let time = timestamps[to.frame] - timestamps[from.frame];
+    let (from, to) = (from.raw(), to.raw());
+    (time > 0.0).then(|| std::array::from_fn(|i| (to[i] - from[i]) / time))
 }
 
 /// The pose of a frame's camera some time `later` \[s\], on the parabola through it and the frames
@@ -241,6 +284,7 @@ mod tests {
     use crate::fixtures::{self, camera};
     use crate::intrinsics::observability::reestimate_intrinsics;
     use crate::register::registration::adjust_path;
+    use crate::track::tracks::Observation;
     use i2slam_geometry::{Rotation, Vec3};
 
     /// A camera that shakes on its way; `s` in frames.
@@ -296,6 +340,29 @@ mod tests {
         assert_eq!([alone[1][1], alone[0][1]], [0.0; 2]);
         for (error, variance) in [(found.0, covariance[0][0]), (found.1, covariance[1][1])] {
             assert!(error.abs() < 4.0 * variance.sqrt(), "{found:?} {covariance:?}");
+        }
+    }
+
+    /// A landmark right before the camera would move by hundreds of pixels, and no step of an adjustment
+    /// would bring its observations together again.
+    #[test]
+    fn a_landmark_of_wrong_depth_does_not_carry_its_observations_away() {
+        let mut rolling = state(20, 0.6);
+        let (timestamps, interval) = (Arc::clone(&rolling.timestamps), 1.0 / 30.0);
+        let positions = |state: &SfmState| -> Vec<[f64; 2]> {
+            state.tracks.tracks.iter().flat_map(|t| &t.observations).map(Observation::at).collect()
+        };
+        correct_observations(&mut rolling, &timestamps, 0.6 * interval, interval);
+        let due = positions(&rolling);
+        let centre = path(10.0).translation;
+        for landmark in rolling.landmarks.iter_mut().flatten() {
+            let ray = (landmark.position() - centre) * 2e-3;
+            landmark.values[2] = (ray + centre - landmark.origin).norm().recip();
+        }
+        correct_observations(&mut rolling, &timestamps, 0.6 * interval, interval);
+        for (found, due) in positions(&rolling).iter().zip(due) {
+            let off = length([found[0] - due[0], found[1] - due[1]]);
+            assert!(off < 4.0, "{off}");
         }
     }
 
