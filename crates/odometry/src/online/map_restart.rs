@@ -37,7 +37,9 @@ impl OnlineMap {
         }
         let now = |(frame, was): &(usize, Pose<f64>)| Some((self.state.poses[*frame]?, *was));
         let pairs: Vec<PosePair> = before.iter().filter_map(now).collect();
-        self.is_settled = path_change(&pairs).is_some_and(|change| change < MAX_SETTLED_CHANGE);
+        let is_steady = path_change(&pairs).is_some_and(|change| change < MAX_SETTLED_CHANGE);
+        self.is_settled = is_steady && self.was_steady;
+        self.was_steady = is_steady;
     }
 
     /// Looks for the readout, and adjusts the path to it: in the first frames by a map with the one

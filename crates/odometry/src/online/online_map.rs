@@ -62,6 +62,7 @@ pub(crate) struct OnlineMap {
     adjusts_focal: bool,
     /// True once a keyframe hardly changed the path. Measured depth needs no such proof.
     pub(super) is_settled: bool,
+    pub(super) was_steady: bool,
     /// True if places that are seen again are joined, and once one was.
     pub(crate) closes_loops: bool,
     has_closed_loop: bool,
@@ -79,6 +80,7 @@ impl OnlineMap {
             state,
             adjusts_focal,
             is_settled: false,
+            was_steady: false,
             closes_loops: true,
             has_closed_loop: false,
             loop_pause: 0,
