@@ -4,7 +4,7 @@
 //! a point moves in that time; its position is corrected to the moment of the middle row. The
 //! readout of least cost is searched.
 
-use crate::multiview::landmark::Landmark;
+use crate::multiview::landmark::{Landmark, MAX_INLIER_ERROR};
 use crate::multiview::lens_distortion::undistort;
 use crate::multiview::robust_loss::length;
 use crate::progress::Stage;
@@ -21,9 +21,6 @@ const FINE_STEP: f64 = 0.2;
 /// Largest cost relative to a global shutter at which a readout is accepted.
 pub(crate) const MAX_COST_RATIO: f64 = 0.97;
 const ADJUSTMENT_STEPS: usize = 8;
-/// Distance from the tracked motion by which that of a landmark may exceed that of a point far away
-/// [standard deviations of its position].
-const MAX_MOTION_ERROR: f64 = 3.0;
 /// Stretches of a long sequence that are searched, and frames of each.
 const SAMPLE_STRETCHES: usize = 3;
 const STRETCH_FRAMES: usize = 100;
@@ -204,7 +201,7 @@ pub(crate) fn correct_observations_in(
         let moved = match &motion {
             Some(motion) => {
                 let tracked = tracked_velocity(track, frame, timestamps);
-                let tracked = tracked.map(|v| (v.map(|v| v * late), MAX_MOTION_ERROR * o.sigma()));
+                let tracked = tracked.map(|v| (v.map(|v| v * late), MAX_INLIER_ERROR * o.sigma()));
                 let landmark = (landmark.as_ref(), flat);
                 picture_motion(&camera, motion, landmark, late, tracked)
             }
