@@ -13,8 +13,8 @@ use i2slam_compute::median;
 use i2slam_geometry::{Pose, Similarity};
 use std::sync::Arc;
 
-/// Relative change of the path by a keyframe and its adjustment, below which poses are given by
-/// colour alone. Before, translations may be noise: where a camera hardly moved, factors of 2 to 7
+/// Relative change of the path by a keyframe and its adjustment, below which, twice in a row, poses are
+/// given by colour alone. Before, translations may be noise: where a camera hardly moved, factors of 2 to 7
 /// were seen.
 const MAX_SETTLED_CHANGE: f64 = 0.05;
 /// Frames up to which another readout starts the map anew: rows were some pixels off.
