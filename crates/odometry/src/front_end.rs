@@ -92,8 +92,8 @@ impl FrontEnd {
 
     /// Tracks points into the next picture, and registers it to the map so far: planes R, G, B in
     /// [0, 1], or one plane of brightness; timestamp [s]; measured depth of the same size, if there is
-    /// one. Its pose is known at once with depth. By colour alone it is from the moment on when two
-    /// keyframes in a row changed the path by less than 5 % of its extent; a guessed camera counts until
+    /// one. Its pose is known at once with depth. By colour alone it is from the moment on when a
+    /// keyframe has changed the path by less than 5 % of its extent; a guessed camera counts until
     /// [`finish`](Self::finish) has found it. With depth and a guessed camera no pose is known before.
     ///
     /// Depth taken more than a tenth of a second and more than a frame interval from its picture is

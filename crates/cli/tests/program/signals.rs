@@ -155,8 +155,8 @@ fn ctrl_c_while_frames_are_mapped_keeps_path_and_map() {
 }
 
 /// A video of a walk, and the file of what flows when it is streamed.
-fn walk(footage: &Footage, frames: u32) -> (PathBuf, PathBuf) {
-    let video = footage.video("walk.mp4", &views(frames, 0.06));
+fn walk(footage: &Footage) -> (PathBuf, PathBuf) {
+    let video = footage.video("walk.mp4", &views(12, 0.06));
     let flow = footage.scratch.join("flow");
     fs::write(&flow, format!("{}\n", video.to_str().expect("a name"))).expect("room");
     (video, flow)
@@ -171,7 +171,7 @@ const FLAGS: [&str; 2] = ["--fov", "63.2"];
 #[test]
 fn an_address_a_pipe_and_the_standard_input_are_as_good_as_a_file() {
     let footage = Footage::new("stream");
-    let (video, flow) = walk(&footage, 12);
+    let (video, flow) = walk(&footage);
     let from = |out: &str, source: &Path, stdin: Stdio| {
         let mut command = footage.quick(out, source, &FLAGS);
         Ran::of(command.stdin(stdin)).exits_with(0)
@@ -226,7 +226,7 @@ fn a_stream_with_depth_is_mapped_while_it_comes() {
 #[test]
 fn poses_are_written_while_frames_come() {
     let footage = Footage::new("stream-poses");
-    let (video, flow) = walk(&footage, 16);
+    let (video, flow) = walk(&footage);
     let flags = [&FLAGS[..], &["--poses", "-"]].concat();
     let due = Ran::of(&mut footage.quick("file", &video, &flags)).exits_with(0);
     let poses = |text: &str| text.lines().filter(|line| !line.starts_with('#')).count();
@@ -279,7 +279,7 @@ fn poses_are_written_while_frames_come() {
 #[test]
 fn ctrl_c_ends_a_live_stream_and_not_the_run() {
     let footage = Footage::new("stream-live");
-    let (_, flow) = walk(&footage, 12);
+    let (_, flow) = walk(&footage);
     fs::write(flow.with_extension("endless"), "").expect("room");
     let mut command = footage.quick("live", Path::new("http://host/flow"), &FLAGS);
     let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("starts");
@@ -295,7 +295,7 @@ fn ctrl_c_ends_a_live_stream_and_not_the_run() {
 #[test]
 fn streams_that_cannot_be_used_are_told_and_leave_nothing() {
     let footage = Footage::new("stream-bad");
-    let (_, flow) = walk(&footage, 12);
+    let (_, flow) = walk(&footage);
     fs::write(footage.scratch.join("silence"), "").expect("room");
     let silent = Path::new("http://host/silence");
     footage.run(silent, &[]).exits_with(1).stderr_contains("no frame of it can be decoded");

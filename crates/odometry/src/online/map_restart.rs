@@ -13,8 +13,8 @@ use i2slam_compute::median;
 use i2slam_geometry::{Pose, Similarity};
 use std::sync::Arc;
 
-/// Relative change of the path by a keyframe and its adjustment, below which, twice in a row, poses are
-/// given by colour alone. Before, translations may be noise: where a camera hardly moved, factors of 2 to 7
+/// Relative change of the path by a keyframe and its adjustment, below which poses are given by
+/// colour alone. Before, translations may be noise: where a camera hardly moved, factors of 2 to 7
 /// were seen.
 const MAX_SETTLED_CHANGE: f64 = 0.05;
 /// Frames up to which another readout starts the map anew: rows were some pixels off.
@@ -37,9 +37,7 @@ impl OnlineMap {
         }
         let now = |(frame, was): &(usize, Pose<f64>)| Some((self.state.poses[*frame]?, *was));
         let pairs: Vec<PosePair> = before.iter().filter_map(now).collect();
-        let is_steady = path_change(&pairs).is_some_and(|change| change < MAX_SETTLED_CHANGE);
-        self.is_settled = is_steady && self.was_steady;
-        self.was_steady = is_steady;
+        self.is_settled = path_change(&pairs).is_some_and(|change| change < MAX_SETTLED_CHANGE);
     }
 
     /// Looks for the readout, and adjusts the path to it: in the first frames by a map with the one

@@ -60,11 +60,8 @@ pub(crate) struct OnlineMap {
     pub(super) followers: BTreeMap<usize, Vec<usize>>,
     /// True if the focal length is a guess, which is adjusted with all keyframes.
     adjusts_focal: bool,
-    /// True once two keyframes in a row hardly changed the path: one may by chance. Measured depth needs no
-    /// such proof.
+    /// True once a keyframe hardly changed the path. Measured depth needs no such proof.
     pub(super) is_settled: bool,
-    /// True where the last keyframe hardly changed it.
-    pub(super) was_steady: bool,
     /// True if places that are seen again are joined, and once one was.
     pub(crate) closes_loops: bool,
     has_closed_loop: bool,
@@ -82,7 +79,6 @@ impl OnlineMap {
             state,
             adjusts_focal,
             is_settled: false,
-            was_steady: false,
             closes_loops: true,
             has_closed_loop: false,
             loop_pause: 0,
