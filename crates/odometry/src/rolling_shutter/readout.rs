@@ -213,8 +213,9 @@ pub(crate) fn correct_observations_in(
     }
 }
 
-/// How far a point moves in the picture some time after a frame [px]: its landmark, or else one on its
-/// ray far away where there is none or the far one moves more as was `tracked`, by more than the error.
+/// Motion of a point in the picture some time after a frame [px], by its landmark. By a point at infinity
+/// on its ray instead, where there is no landmark, or where its motion is farther from the `tracked` one by
+/// more than the error given with that.
 ///
 /// A landmark of wrong depth close to the camera would move by thousands of pixels.
 fn picture_motion(
