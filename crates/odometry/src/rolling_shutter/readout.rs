@@ -230,16 +230,15 @@ fn picture_motion(
         let [now, then] = [now, then].map(|pose| landmark.image_position(camera, &pose));
         now.zip(then).map(|(now, then)| [then[0] - now[0], then[1] - now[1]])
     };
-    let far = moved(&Landmark::on_ray(camera, now, at, 0.0));
-    let is_tracked = |near: &[f64; 2]| match (tracked, far) {
-        (Some((tracked, error)), Some(far)) => {
-            let [near, far] =
-                [*near, far].map(|moved| length([moved[0] - tracked[0], moved[1] - tracked[1]]));
-            near <= far + error
-        }
-        _ => true,
+    let far = || moved(&Landmark::on_ray(camera, now, at, 0.0));
+    let is_tracked = |near: &[f64; 2]| {
+        tracked.is_none_or(|(tracked, error)| {
+            let off = |moved: &[f64; 2]| length([moved[0] - tracked[0], moved[1] - tracked[1]]);
+            let is_nearer = |far: [f64; 2]| off(near) <= off(&far) + error;
+            off(near) <= error || far().is_none_or(is_nearer)
+        })
     };
-    landmark.and_then(moved).filter(is_tracked).or(far)
+    landmark.and_then(moved).filter(is_tracked).or_else(far)
 }
 
 /// Velocity of a point in the picture between its observations before and after a frame [px/s].
