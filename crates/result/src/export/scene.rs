@@ -4,7 +4,7 @@ use super::axes::Axes;
 use super::blended_colours::{evenly_spaced, picture_splats};
 use super::error::ExportError;
 use super::level::{Up, level};
-use super::screen_filter::widen_for_playcanvas;
+use super::screen_filter::widen;
 use super::seen::views;
 use super::splat::{Display, Splat, splats};
 use crate::{FrameFiles, UnitOfLength};
@@ -214,7 +214,7 @@ impl Scene {
         }
     }
 
-    /// The Gaussians for viewers, in the world of a file.
+    /// The Gaussians of the map, in the world of a file.
     ///
     /// # Errors
     /// [`ExportError::Refused`] for a hash grid, and an empty map.
@@ -236,17 +236,20 @@ impl Scene {
         })
     }
 
-    /// [`splats`](Self::splats) for PlayCanvas and SuperSplat, which widen Gaussians less than other viewers do:
-    /// they are wider by the difference in the nearest frame.
+    /// [`splats`](Self::splats) without gaps in viewers whose screen filter is narrower than that of the map:
+    /// wider by what is missing in the nearest frame. Those of linear radiance, for programs that train on or
+    /// light them, stay as they are.
     ///
     /// # Errors
     /// As [`splats`](Self::splats).
-    pub fn splats_for_playcanvas(&self, axes: Axes) -> Result<Vec<Splat>, ExportError> {
+    pub fn splats_for_viewers(&self, axes: Axes) -> Result<Vec<Splat>, ExportError> {
         let mut splats = self.splats(axes)?;
-        let frames = evenly_spaced(&self.reconstruction.frames, MAX_COMPARED_FRAMES);
-        let poses: Vec<Pose<f64>> =
-            frames.into_iter().map(|frame| self.pose(frame, axes)).collect();
-        widen_for_playcanvas(&mut splats, &self.reconstruction.camera, &poses);
+        if !self.linear {
+            let frames = evenly_spaced(&self.reconstruction.frames, MAX_COMPARED_FRAMES);
+            let poses: Vec<Pose<f64>> =
+                frames.into_iter().map(|frame| self.pose(frame, axes)).collect();
+            widen(&mut splats, &self.reconstruction.camera, &poses);
+        }
         Ok(splats)
     }
 }
@@ -274,4 +277,30 @@ fn keep(map: &mut GaussianMap<f32>, passes: impl Fn(usize, Vec3<f64>, f32) -> bo
         .map(|(i, (mean, logit))| passes(i, Vec3::from_array(mean.map(f64::from)), opacity(*logit)))
         .collect();
     map.retain(&kept);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tests::example;
+
+    #[test]
+    fn picture_values_are_wider_for_viewers_and_radiance_is_not() {
+        let scales = |linear: bool, for_viewers: bool| {
+            let selection = Selection { linear, up: Up::Kept, ..Selection::default() };
+            let scene = Scene::new(example(2), &selection).expect("a scene");
+            let splats = match for_viewers {
+                true => scene.splats_for_viewers(Axes::YDown),
+                false => scene.splats(Axes::YDown),
+            };
+            let splats = splats.expect("a map of Gaussians");
+            splats.iter().map(|splat| splat.log_scale).collect::<Vec<_>>()
+        };
+        let (map, radiance) = (scales(false, false), scales(true, false));
+        assert_eq!(map, radiance);
+        assert_eq!(scales(true, true), radiance);
+        let wider = scales(false, true);
+        assert!(wider.iter().flatten().zip(map.iter().flatten()).all(|(a, b)| a >= b));
+        assert_ne!(wider, map);
+    }
 }

@@ -126,7 +126,11 @@ const FILES: [(&str, &str); 17] = [
     ),
     ("camera_response.csv", "The response curve"),
     (VIEWER_FILE, "The map in 3D, for a browser"),
-    ("map.ply", "The map for 3D Gaussian viewers such as SuperSplat"),
+    (
+        "map.ply",
+        "The map for programs that read 3D Gaussians (for SuperSplat and PlayCanvas: \
+         <code>i2slam export --format ply</code>)",
+    ),
     ("map.i2slam", "The map in full precision and range"),
     ("metrics.json", "The figures of the run, as at the top of this page, for programs"),
     ("renders/sharp", "Pictures without blur, from the middle of each exposure"),
@@ -147,8 +151,12 @@ fn file_rows(exists: impl Fn(&str) -> bool) -> String {
     let mut out = String::new();
     for (names, meaning) in FILES {
         if names.split(", ").all(&exists) {
+            let links: Vec<String> = names
+                .split(", ")
+                .map(|name| format!("<a href=\"{name}\"><code>{name}</code></a>"))
+                .collect();
             // Writing to a string cannot fail.
-            writeln!(out, "<tr><td><code>{names}</code></td><td>{meaning}</td></tr>").ok();
+            writeln!(out, "<tr><td>{}</td><td>{meaning}</td></tr>", links.join(", ")).ok();
         }
     }
     out

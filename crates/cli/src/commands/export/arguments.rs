@@ -61,7 +61,7 @@ pub(crate) enum Format {
     Nerfstudio,
     /// Gaussians for splat viewers, one file
     Ply,
-    /// Gaussians in a quarter of the bytes or less for PlayCanvas and SuperSplat, one file .compressed.ply
+    /// Gaussians in a quarter of the bytes or less, PlayCanvas' format, one file .compressed.ply
     CompressedPly,
     /// Gaussians as glTF (KHR_gaussian_splatting), one file
     Glb,

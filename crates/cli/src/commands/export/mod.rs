@@ -102,18 +102,18 @@ fn write(arguments: &Export, scene: &Scene, watch: &Watch<'_>) -> Result<String,
             nerfstudio::write(scene, folder, taken, watch)
         }),
         Format::Ply => {
-            let splats = scene.splats(Axes::YDown)?;
+            let splats = scene.splats_for_viewers(Axes::YDown)?;
             write_file(out, |file| ply::write(file, &splats, Some(&mark("ply"))))?;
             Ok(counted(splats.len(), "Gaussian"))
         }
         Format::Html => page::write(arguments, scene),
         Format::CompressedPly => {
-            let splats = scene.splats_for_playcanvas(Axes::YDown)?;
+            let splats = scene.splats_for_viewers(Axes::YDown)?;
             write_file(out, |file| compressed_ply::write(file, &splats, &mark("compressed-ply")))?;
             Ok(counted(splats.len(), "Gaussian"))
         }
         Format::Glb => {
-            let splats = scene.splats(Axes::YUp)?;
+            let splats = scene.splats_for_viewers(Axes::YUp)?;
             write_file(out, |file| glb::write(file, &splats, arguments.linear, &mark("glb")))?;
             Ok(counted(splats.len(), "Gaussian"))
         }
