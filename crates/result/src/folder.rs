@@ -8,7 +8,7 @@ use crate::{FrameFiles, Metrics, ResultError, UnitOfLength, map, tables};
 use i2slam::dataset::read_trajectory;
 use i2slam::formation::tone::NODES;
 use i2slam::formation::{CameraResponse, NodeSpacing, StartCurve, Vignetting};
-use i2slam::geometry::{Camera, Rotation, StampedPose};
+use i2slam::geometry::{Camera, Pose, StampedPose};
 use i2slam::{Config, Map, Reconstruction};
 use i2slam_storage::OutputFolder;
 use serde::{Deserialize, Serialize};
@@ -66,7 +66,7 @@ pub fn save(
         folder.write("map.i2slam", |out| map::write_native(out, &r.map)),
         match &r.map {
             Map::Gaussians(map) => {
-                let splats = picture_splats(r, map, Rotation::identity());
+                let splats = picture_splats(r, map, Pose::identity());
                 folder.write("map.ply", |out| ply::write(out, &splats, None))
             }
             Map::HashGrid(_) => Ok(()),

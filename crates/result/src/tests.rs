@@ -267,7 +267,7 @@ fn viewers_get_display_colours() {
     let dc = |reconstruction: &Reconstruction| {
         let mut bytes = Vec::new();
         let display = Display::Formed(reconstruction.typical_tone());
-        ply::write(&mut bytes, &splats(&gaussians, &display, Rotation::identity()), None)
+        ply::write(&mut bytes, &splats(&gaussians, &display, Pose::identity()), None)
             .expect("memory");
         let start = bytes.len() - 7 * 17 * 4 + 6 * 4;
         f32::from_le_bytes([bytes[start], bytes[start + 1], bytes[start + 2], bytes[start + 3]])

@@ -14,7 +14,7 @@
 //! 1984), started from the display colour of each Gaussian alone.
 
 use super::splat::{Display, Splat, splats};
-use i2slam::geometry::{Image, Pose, Rotation};
+use i2slam::geometry::{Image, Pose};
 use i2slam::radiance::gaussian::{
     ColourActivation, Gaussian, GaussianMap, MapGradient, RasterSettings, Rasterizer, Shape,
 };
@@ -29,30 +29,30 @@ const MIN_PIXELS: f32 = 0.2;
 /// Least opacity of pixels that count: holes are filled in pictures, not in blends.
 const OPAQUE: f32 = 0.9;
 
-/// The Gaussians of a reconstruction for viewers that blend picture values, in a world that is turned.
+/// The Gaussians of a reconstruction for viewers that blend picture values, in the
+/// world of a file.
 pub(crate) fn picture_splats(
     reconstruction: &Reconstruction,
     map: &GaussianMap<f32>,
-    turn: Rotation<f64>,
+    file_from_world: Pose<f64>,
 ) -> Vec<Splat> {
     let tone = reconstruction.typical_tone();
     let is_formed = tone.is_some();
-    let mut splats = splats(map, &Display::Formed(tone), turn);
+    let mut splats = splats(map, &Display::Formed(tone), file_from_world);
     if is_formed && !splats.is_empty() {
-        fit(&mut splats, reconstruction, turn);
+        fit(&mut splats, reconstruction, file_from_world);
     }
     splats
 }
 
-fn fit(splats: &mut [Splat], reconstruction: &Reconstruction, turn: Rotation<f64>) {
+fn fit(splats: &mut [Splat], reconstruction: &Reconstruction, file_from_world: Pose<f64>) {
     let mut viewer = reconstruction.viewer();
     let mut blend = Blend::new(splats);
     for frame in evenly_spaced(&reconstruction.frames, MAX_PICTURES) {
         let pose = frame.middle();
         let picture = viewer.sharp(&reconstruction.virtual_frame(frame.index, pose));
-        let Pose { rotation, translation } = pose;
-        let turned = Pose::new((turn * rotation).normalized(), turn.rotate(translation));
-        let view = View { camera: reconstruction.camera, world_from_camera: turned };
+        let world_from_camera = file_from_world * pose;
+        let view = View { camera: reconstruction.camera, world_from_camera };
         blend.step(splats, &view, &picture);
     }
 }
@@ -132,6 +132,7 @@ impl Blend {
 mod tests {
     use super::*;
     use i2slam::formation::{CameraResponse, NodeSpacing, StartCurve, Vignetting};
+    use i2slam::geometry::Rotation;
     use i2slam::geometry::{Camera, Tangent, Vec3};
     use i2slam::{Config, Map};
 
@@ -172,13 +173,12 @@ mod tests {
 
     /// Largest root-mean-square difference to the program's own pictures, from views between those
     /// that count.
-    fn difference(splats: &[Splat], wall: &Reconstruction, turn: Rotation<f64>) -> f64 {
+    fn difference(splats: &[Splat], wall: &Reconstruction, file_from_world: Pose<f64>) -> f64 {
         let (mut viewer, mut blend, mut worst) = (wall.viewer(), Blend::new(splats), 0.0_f64);
         for frame in [&wall.frames[3], &wall.frames[13]] {
             let picture = viewer.sharp(frame);
-            let Pose { rotation, translation } = frame.middle();
-            let turned = Pose::new(turn * rotation, turn.rotate(translation));
-            blend.draw(splats, &View { camera: wall.camera, world_from_camera: turned });
+            let world_from_camera = file_from_world * frame.middle();
+            blend.draw(splats, &View { camera: wall.camera, world_from_camera });
             let pairs = picture.data.iter().zip(&blend.render.radiance.data);
             let sum: f64 = pairs.map(|(a, b)| f64::from(a.min(1.0) - b).powi(2)).sum();
             worst = worst.max((sum / picture.data.len() as f64).sqrt());
@@ -191,9 +191,10 @@ mod tests {
         let wall = wall();
         let Map::Gaussians(map) = &wall.map else { panic!("Gaussians") };
         let turn = Rotation::exp(Vec3::new(0.3, -0.4, 1.1));
-        let alone = splats(map, &Display::Formed(wall.typical_tone()), turn);
-        let fitted = picture_splats(&wall, map, turn);
-        let (before, after) = (difference(&alone, &wall, turn), difference(&fitted, &wall, turn));
+        let moved = Pose::new(turn, Vec3::new(0.5, -1.0, 2.0));
+        let alone = splats(map, &Display::Formed(wall.typical_tone()), moved);
+        let fitted = picture_splats(&wall, map, moved);
+        let (before, after) = (difference(&alone, &wall, moved), difference(&fitted, &wall, moved));
         assert!(before > 0.05 && after < 0.4 * before, "{before:.4} {after:.4}");
         let in_range = |splat: &Splat| splat.colour.iter().all(|c| (0.0..=1.0).contains(c));
         assert!(fitted.iter().all(in_range));
@@ -204,8 +205,7 @@ mod tests {
         let mut wall = wall();
         wall.config.formation.tone = false;
         let Map::Gaussians(map) = &wall.map else { panic!("Gaussians") };
-        let turn = Rotation::identity();
-        let alone = splats(map, &Display::Formed(None), turn);
-        assert_eq!(picture_splats(&wall, map, turn), alone);
+        let alone = splats(map, &Display::Formed(None), Pose::identity());
+        assert_eq!(picture_splats(&wall, map, Pose::identity()), alone);
     }
 }

@@ -66,7 +66,7 @@ struct ModelPoint {
 
 impl Model {
     fn new(scene: &Scene, seeds: SeedPoints) -> Self {
-        let turn = scene.rotation(Axes::YDown);
+        let file_from_world = scene.file_from_world(Axes::YDown);
         let images = scene.frames.iter().zip(seeds.observations);
         let images = images.map(|(frame, observations)| ModelImage {
             camera_from_world: scene.pose(frame, Axes::YDown).inverse(),
@@ -77,7 +77,7 @@ impl Model {
                 .collect(),
         });
         let points = seeds.points.into_iter().map(|point| ModelPoint {
-            position: turn.rotate(point.position).to_array(),
+            position: (file_from_world * point.position).to_array(),
             colour: point.colour,
             track: point.track.iter().map(|&(i, n)| (i as u32 + 1, n as u32)).collect(),
         });

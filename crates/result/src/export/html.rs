@@ -23,7 +23,7 @@ pub fn html(
         reconstruction: &scene.reconstruction,
         frames: &scene.frames,
         files: &scene.files,
-        up: scene.rotation(Axes::YDown).inverse().rotate(LEVEL_UP),
+        up: scene.file_from_world(Axes::YDown).rotation.inverse().rotate(LEVEL_UP),
     };
     page.html(taken).map_err(|reason| ExportError::refused(format!("no 3D page: {reason}")))
 }

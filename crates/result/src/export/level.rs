@@ -1,5 +1,6 @@
 //! The vertical of a scene: floors, tables and walls say where it is, cameras which end is up.
 
+use super::ground::{Patch, ground};
 use i2slam::geometry::{Camera, Image, Mat3, Pose, Rotation, Vec3, symmetric_eigen};
 use i2slam::{FrameEstimate, Reconstruction};
 
@@ -32,37 +33,44 @@ const MAX_PITCH: f64 = 60.0;
 /// Least share of the second smallest spread of the cameras' right axes at which they span a plane.
 const MIN_SPREAD: f64 = 0.02;
 
-/// The rotation from the world of a result to a levelled one, without a turn about the vertical.
-pub(crate) fn level(reconstruction: &Reconstruction, up: Up) -> Rotation<f64> {
-    let direction = match up {
-        Up::Kept => return Rotation::identity(),
+/// The rotation from the world of a result to a levelled one, without a turn about the vertical, and the
+/// height of the ground in it; `None` where it was not found, and in a world that is kept.
+pub(crate) fn level(reconstruction: &Reconstruction, up: Up) -> (Rotation<f64>, Option<f64>) {
+    if up == Up::Kept {
+        return (Rotation::identity(), None);
+    }
+    let frames = reconstruction.frames.iter().filter(|frame| frame.tracked);
+    let poses: Vec<Pose<f64>> = frames.map(FrameEstimate::middle).collect();
+    let surfaces = surfaces_of(reconstruction, &poses);
+    let up = match up {
         Up::Given(direction) => unit(direction),
-        Up::Estimated => estimate(reconstruction),
+        _ => up_of_cameras(&poses).map(|first| {
+            let normals: Vec<Vec3<f64>> = surfaces.iter().map(|patch| patch.normal).collect();
+            best_up(&normals, &poses, first)
+        }),
     };
-    direction.map_or_else(Rotation::identity, |direction| between(direction, LEVEL_UP))
+    let turn = up.map_or_else(Rotation::identity, |up| between(up, LEVEL_UP));
+    (turn, ground(&surfaces, turn.inverse().rotate(LEVEL_UP)))
 }
 
-/// The direction that is up; none without frames.
-fn estimate(reconstruction: &Reconstruction) -> Option<Vec3<f64>> {
-    let frames: Vec<&FrameEstimate> = reconstruction.frames.iter().filter(|f| f.tracked).collect();
-    let poses: Vec<Pose<f64>> = frames.iter().map(|frame| frame.middle()).collect();
-    let first = up_of_cameras(&poses)?;
+/// Surfaces in the depth of some views; none of an empty map.
+fn surfaces_of(reconstruction: &Reconstruction, poses: &[Pose<f64>]) -> Vec<Patch> {
     if reconstruction.map.is_empty() {
-        return Some(first);
+        return Vec::new();
     }
     let views = poses.len().min(VIEWS);
     let mut viewer = reconstruction.viewer();
-    let mut normals = Vec::new();
+    let mut surfaces = Vec::new();
     for view in 0..views {
         let pose = poses[(2 * view + 1) * poses.len() / (2 * views)];
-        normals.extend(normals_of(&viewer.depth(pose), &reconstruction.camera, pose));
+        surfaces.extend(patches_of(&viewer.depth(pose), &reconstruction.camera, pose));
     }
-    Some(best_up(&normals, &poses, first))
+    surfaces
 }
 
 /// Up by surfaces, from the first guess and from what is up in some pictures: a camera that tilts
 /// far without a turn has a mean far off. Of the directions that surfaces bear out about as well, the
-/// one from which cameras are tilted least; people look down more often than up.
+/// one from which cameras are tilted least, and rolled least; people look down more often than up.
 fn best_up(normals: &[Vec3<f64>], poses: &[Pose<f64>], first: Vec3<f64>) -> Vec3<f64> {
     let apart = poses.len().div_ceil(VIEWS).max(1);
     let of_pictures = poses.iter().step_by(apart).map(|p| p.rotation.rotate(LEVEL_UP));
@@ -76,9 +84,12 @@ fn best_up(normals: &[Vec3<f64>], poses: &[Pose<f64>], first: Vec3<f64>) -> Vec3
         normals.iter().filter(holds).count() as f64 / normals.len().max(1) as f64
     };
     let tilt = |up: Vec3<f64>| {
-        let forward = Vec3::new(0.0, 0.0, 1.0);
-        let pitches = poses.iter().map(|pose| pose.rotation.rotate(forward).dot(up).asin());
-        pitches.map(|pitch| if pitch > 0.0 { 2.0 * pitch } else { -pitch }).sum::<f64>()
+        let tilts = poses.iter().map(|pose| {
+            let [over, forward] =
+                [LEVEL_UP, Vec3::new(0.0, 0.0, 1.0)].map(|axis| pose.rotation.rotate(axis).dot(up));
+            over.clamp(-1.0, 1.0).acos() + forward.clamp(0.0, 1.0).asin()
+        });
+        tilts.sum::<f64>()
     };
     let most = ups.iter().map(|&up| support(up)).fold(MIN_SHARE, f64::max);
     let borne_out = ups.iter().copied().filter(|&up| support(up) >= 0.8 * most);
@@ -140,18 +151,18 @@ fn up_of_surfaces(normals: &[Vec3<f64>], first: Vec3<f64>) -> Vec3<f64> {
     up
 }
 
-/// Normals of the surfaces in a depth picture, in the world.
-fn normals_of(
+/// Patches of the surfaces in a depth picture, in the world.
+fn patches_of(
     depth: &Image<f32>,
     camera: &Camera<f64>,
     world_from_camera: Pose<f64>,
-) -> Vec<Vec3<f64>> {
+) -> Vec<Patch> {
     let point = |column: usize, row: usize| {
         let z = f64::from(depth.at(0, column, row));
         let (u, v) = Camera::<f64>::pixel_centre(column, row);
         (z > 0.0).then(|| camera.unproject(u, v, z))
     };
-    let mut normals = Vec::new();
+    let mut patches = Vec::new();
     for row in (0..depth.height.saturating_sub(SPACING)).step_by(SPACING) {
         for column in (0..depth.width.saturating_sub(SPACING)).step_by(SPACING) {
             let corner = point(column, row);
@@ -159,10 +170,18 @@ fn normals_of(
             let (Some(a), (Some(b), Some(c))) = (corner, sides) else { continue };
             // Of a surface seen at a very low angle noise is all there is; an edge is none.
             let normal = unit((b - a).cross(c - a)).filter(|n| n.dot(a).abs() > 0.1 * a.norm());
-            normals.extend(normal.map(|normal| world_from_camera.rotation.rotate(normal)));
+            patches.extend(normal.map(|normal| {
+                let towards = if normal.dot(a) > 0.0 { -normal } else { normal };
+                Patch {
+                    place: world_from_camera * a,
+                    normal: world_from_camera.rotation.rotate(towards),
+                    area: a.z * a.z / (towards.dot(a) / a.norm()).abs(),
+                    depth: a.z,
+                }
+            }));
         }
     }
-    normals
+    patches
 }
 
 /// The axis of a symmetric matrix with the least eigenvalue, and the second smallest eigenvalue.
@@ -260,6 +279,21 @@ mod tests {
         let up = best_up(&normals, &poses, first);
         assert!(degrees(up, truth) < 0.1, "{up:?}");
         assert_eq!(best_up(&[], &poses, first), first);
+    }
+
+    #[test]
+    fn a_camera_that_rolls_is_not_laid_on_its_side() {
+        let poses: Vec<_> = (-2..10)
+            .map(|i| Rotation::exp(Vec3::new(0.0, 0.0, 10.0_f64.to_radians() * f64::from(i))))
+            .map(|rotation| Pose::new(rotation, Vec3::zero()))
+            .collect();
+        let normals: Vec<_> = [Vec3::new(0.0, 0.0, -1.0), LEVEL_UP, Vec3::new(1.0, 0.0, 0.0)]
+            .iter()
+            .flat_map(|&normal| vec![normal; 20])
+            .collect();
+        let first = up_of_cameras(&poses).expect("poses");
+        let up = best_up(&normals, &poses, first);
+        assert!(degrees(up, LEVEL_UP) < 0.1, "{up:?}");
     }
 
     #[test]

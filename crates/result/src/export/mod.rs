@@ -11,6 +11,7 @@ pub mod compressed_ply;
 mod error;
 pub mod glb;
 mod gltf;
+mod ground;
 mod harmonics;
 mod html;
 pub(crate) mod level;

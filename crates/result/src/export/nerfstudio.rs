@@ -8,7 +8,7 @@ use super::scene::Scene;
 use super::seed_points::SeedPoint;
 use super::views::{LoadTaken, MASKS, PICTURES, write_views};
 use super::watch::Watch;
-use i2slam::geometry::{Camera, Pose, Rotation};
+use i2slam::geometry::{Camera, Pose};
 use i2slam_storage::OutputFolder;
 use serde_json::{Value, json};
 use std::io::{self, Write};
@@ -31,8 +31,8 @@ pub fn write(
 ) -> Result<usize, ExportError> {
     let mask_of = |name: &str| format!("{}.png", &name[..name.len() - 4]);
     let seeds = write_views(scene, folder, mask_of, taken, watch)?;
-    let turn = scene.rotation(Axes::ZUp);
-    folder.write(POINTS, |out| write_points(out, &seeds.points, turn))?;
+    let file_from_world = scene.file_from_world(Axes::ZUp);
+    folder.write(POINTS, |out| write_points(out, &seeds.points, file_from_world))?;
     let frames: Vec<Value> = scene
         .frames
         .iter()
@@ -70,14 +70,18 @@ fn matrix(world_from_camera: Pose<f64>) -> [[f64; 4]; 4] {
 }
 
 /// Coloured points, binary PLY.
-fn write_points(out: &mut dyn Write, points: &[SeedPoint], turn: Rotation<f64>) -> io::Result<()> {
+fn write_points(
+    out: &mut dyn Write,
+    points: &[SeedPoint],
+    file_from_world: Pose<f64>,
+) -> io::Result<()> {
     writeln!(out, "ply\nformat binary_little_endian 1.0\nelement vertex {}", points.len())?;
     for property in ["float x", "float y", "float z", "uchar red", "uchar green", "uchar blue"] {
         writeln!(out, "property {property}")?;
     }
     writeln!(out, "end_header")?;
     for point in points {
-        for value in turn.rotate(point.position).to_array() {
+        for value in (file_from_world * point.position).to_array() {
             out.write_all(&(value as f32).to_le_bytes())?;
         }
         out.write_all(&point.colour)?;

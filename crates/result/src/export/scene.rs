@@ -3,12 +3,12 @@
 use super::axes::Axes;
 use super::blended_colours::{evenly_spaced, picture_splats};
 use super::error::ExportError;
-use super::level::{Up, level};
+use super::level::{LEVEL_UP, Up, level};
 use super::screen_filter::widen;
 use super::seen::views;
 use super::splat::{Display, Splat, splats};
 use crate::{FrameFiles, UnitOfLength};
-use i2slam::geometry::{Pose, Rotation, Vec3};
+use i2slam::geometry::{Pose, Vec3};
 use i2slam::radiance::gaussian::GaussianMap;
 use i2slam::{FrameEstimate, Map, Reconstruction};
 use std::collections::BTreeMap;
@@ -58,7 +58,8 @@ pub struct Scene {
     pub(crate) reconstruction: Reconstruction,
     /// The frames that were chosen and whose pose was found.
     pub(crate) frames: Vec<FrameEstimate>,
-    level_from_world: Rotation<f64>,
+    level_from_world: Pose<f64>,
+    ground: Option<f64>,
     pub(crate) linear: bool,
     pub(crate) constant_exposure: bool,
     /// True if Gaussians were left out.
@@ -78,7 +79,8 @@ impl Scene {
         mut reconstruction: Reconstruction,
         selection: &Selection,
     ) -> Result<Self, ExportError> {
-        let level_from_world = level(&reconstruction, selection.up);
+        let (turn, ground) = level(&reconstruction, selection.up);
+        let level_from_world = Pose::new(turn, LEVEL_UP * -ground.unwrap_or(0.0));
         let frames = reconstruction.frames.iter();
         let is_chosen = |f: &&FrameEstimate| f.tracked && (f.keyframe || !selection.keyframes);
         let frames: Vec<FrameEstimate> = frames.filter(is_chosen).cloned().collect();
@@ -106,14 +108,14 @@ impl Scene {
                 )));
             }
             keep(map, |i, mean, opacity| {
-                let inside = |b: CropBox| b.contains(level_from_world.rotate(mean));
+                let inside = |b: CropBox| b.contains(level_from_world * mean);
                 let is_seen = views.get(i).is_none_or(|views| *views >= selection.min_views);
                 opacity >= selection.min_opacity && is_seen && selection.crop.is_none_or(inside)
             });
             if map.is_empty() {
                 return Err(ExportError::refused(
                     "no Gaussian is left: choose a larger box, a lower opacity or fewer views (the box is in the \
-                     levelled world, x right, y down, z forward from the first camera)",
+                     levelled world, x right, y down, z forward of the first camera)",
                 ));
             }
         }
@@ -122,6 +124,7 @@ impl Scene {
             reconstruction,
             frames,
             level_from_world,
+            ground,
             linear,
             constant_exposure,
             is_cut,
@@ -167,7 +170,7 @@ impl Scene {
     pub fn bounds(&self) -> Option<[f64; 6]> {
         let Map::Gaussians(map) = &self.reconstruction.map else { return None };
         let place = |mean: &[f32; 3]| {
-            self.level_from_world.rotate(Vec3::from_array(mean.map(f64::from))).to_array()
+            (self.level_from_world * Vec3::from_array(mean.map(f64::from))).to_array()
         };
         let places: Vec<[f64; 3]> = map.means.iter().map(place).collect();
         let outermost = places.len() / 100;
@@ -188,19 +191,22 @@ impl Scene {
 
     /// Angle by which the world was turned to level it [rad].
     pub fn levelling(&self) -> f64 {
-        self.level_from_world.log().norm()
+        self.level_from_world.rotation.log().norm()
     }
 
-    /// Rotation from the world of the result to that of a file.
-    pub(crate) fn rotation(&self, axes: Axes) -> Rotation<f64> {
-        axes.rotation() * self.level_from_world
+    /// Height of the ground above the origin of the result; `None` where none was found, or the world is kept.
+    pub fn ground(&self) -> Option<f64> {
+        self.ground
+    }
+
+    /// The motion from the world of the result to that of a file.
+    pub(crate) fn file_from_world(&self, axes: Axes) -> Pose<f64> {
+        Pose::new(axes.rotation(), Vec3::zero()) * self.level_from_world
     }
 
     /// The pose of a frame at mid-exposure in the world of a file.
     pub(crate) fn pose(&self, frame: &FrameEstimate, axes: Axes) -> Pose<f64> {
-        let Pose { rotation, translation } = frame.middle();
-        let turn = self.rotation(axes);
-        Pose::new((turn * rotation).normalized(), turn.rotate(translation))
+        self.file_from_world(axes) * frame.middle()
     }
 
     /// Refuses an empty map, from which nothing can be drawn.
@@ -229,10 +235,10 @@ impl Scene {
                 ));
             }
         };
-        let turn = self.rotation(axes);
+        let file_from_world = self.file_from_world(axes);
         Ok(match self.linear {
-            true => splats(map, &Display::Linear, turn),
-            false => picture_splats(&self.reconstruction, map, turn),
+            true => splats(map, &Display::Linear, file_from_world),
+            false => picture_splats(&self.reconstruction, map, file_from_world),
         })
     }
 

@@ -2,7 +2,7 @@
 
 use super::harmonics;
 use i2slam::formation::{FrameTone, ResponseCurve};
-use i2slam::geometry::{Rotation, Vec3};
+use i2slam::geometry::{Pose, Rotation, Vec3};
 use i2slam::radiance::gaussian::{GaussianMap, Shape};
 use rayon::prelude::*;
 
@@ -86,18 +86,23 @@ impl Splat {
     }
 }
 
-/// The Gaussians of a map, in its order, in a world that is turned.
-pub(crate) fn splats(map: &GaussianMap<f32>, display: &Display, turn: Rotation<f64>) -> Vec<Splat> {
-    (0..map.len()).into_par_iter().map(|i| splat(map, i, display, turn)).collect()
+/// The Gaussians of a map, in its order, in the world of a file.
+pub(crate) fn splats(
+    map: &GaussianMap<f32>,
+    display: &Display,
+    file_from_world: Pose<f64>,
+) -> Vec<Splat> {
+    (0..map.len()).into_par_iter().map(|i| splat(map, i, display, file_from_world)).collect()
 }
 
-fn splat(map: &GaussianMap<f32>, i: usize, display: &Display, turn: Rotation<f64>) -> Splat {
+fn splat(map: &GaussianMap<f32>, i: usize, display: &Display, file_from_world: Pose<f64>) -> Splat {
+    let turn = file_from_world.rotation;
     let isotropic = map.shape == Shape::Isotropic;
     let (log_scale, [w, x, y, z]) = (map.log_scales[i], map.rotations[i].map(f64::from));
     let own = Rotation::from_wxyz(w, x, y, z).filter(|_| !isotropic);
     let Rotation { w, v: Vec3 { x, y, z } } =
         own.map_or_else(Rotation::identity, |own| (turn * own).normalized());
-    let mean = turn.rotate(Vec3::from_array(map.means[i]).cast());
+    let mean = file_from_world * Vec3::from_array(map.means[i]).cast();
     let (colour, activation) = (map.colours[i], map.activation);
     let view = map.view_colours.get(i);
     Splat {
@@ -116,7 +121,7 @@ mod tests {
     use i2slam::radiance::gaussian::{ColourActivation, Gaussian};
 
     #[test]
-    fn a_turned_splat_keeps_its_shape() {
+    fn a_moved_splat_keeps_its_shape() {
         let mut map = GaussianMap::new(Shape::Anisotropic, ColourActivation::Linear);
         map.push(Gaussian {
             mean: [1.0, 2.0, 3.0],
@@ -125,9 +130,9 @@ mod tests {
             opacity_logit: 0.0,
             colour: [0.5; 3],
         });
-        let turn = Rotation::exp(Vec3::new(0.3, -0.4, 1.1));
-        let [before, after] =
-            [Rotation::identity(), turn].map(|turn| splats(&map, &Display::Linear, turn)[0]);
+        let (turn, shift) = (Rotation::exp(Vec3::new(0.3, -0.4, 1.1)), Vec3::new(0.5, -1.0, 2.0));
+        let [before, after] = [Pose::identity(), Pose::new(turn, shift)]
+            .map(|file_from_world| splats(&map, &Display::Linear, file_from_world)[0]);
         let axis = |splat: &Splat, axis: Vec3<f64>| {
             let [w, x, y, z] = splat.rotation.map(f64::from);
             Rotation { w, v: Vec3::new(x, y, z) }.rotate(axis)
@@ -136,7 +141,7 @@ mod tests {
             let (now, due) = (axis(&after, one), turn.rotate(axis(&before, one)));
             assert!((now - due).norm() < 1e-6, "{now:?} {due:?}");
         }
-        let due = turn.rotate(Vec3::new(1.0, 2.0, 3.0)).to_array();
+        let due = (turn.rotate(Vec3::new(1.0, 2.0, 3.0)) + shift).to_array();
         assert!(after.mean.iter().zip(due).all(|(a, b)| (f64::from(*a) - b).abs() < 1e-6));
         assert_eq!((after.log_scale, after.opacity()), (before.log_scale, 0.5));
         assert_eq!(before.rotation, [0.5, 0.5, -0.5, 0.5]);

@@ -72,7 +72,7 @@ impl<'a> ViewerPage<'a> {
         if let Map::HashGrid(_) = reconstruction.map {
             return page;
         }
-        Self { up: level(reconstruction, Up::Estimated).inverse().rotate(LEVEL_UP), ..page }
+        Self { up: level(reconstruction, Up::Estimated).0.inverse().rotate(LEVEL_UP), ..page }
     }
 
     /// The page of a run that goes on; cameras alone say where up is.

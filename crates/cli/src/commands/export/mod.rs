@@ -18,15 +18,12 @@ use arguments::{COLMAP, FolderFormat, Format, NERFSTUDIO};
 use i2slam::FrameEstimate;
 use i2slam_result::export::video::Video;
 use i2slam_result::export::{
-    Axes, ExportError, LoadTaken, MARK, Scene, Watch, colmap, compressed_ply, csv, glb, mesh,
+    Axes, ExportError, LoadTaken, MARK, Scene, Up, Watch, colmap, compressed_ply, csv, glb, mesh,
     nerfstudio, ply, tum, video,
 };
 use i2slam_result::{FrameFiles, UnitOfLength, load_metrics};
 use i2slam_storage::{OutputFolder, write_file};
 use std::path::Path;
-
-/// Angle by which a world is turned to level it from which on that is told [rad].
-const MIN_LEVELLING: f64 = 1e-3;
 
 impl From<ExportError> for Failure {
     fn from(error: ExportError) -> Self {
@@ -66,14 +63,22 @@ pub(crate) fn export(arguments: &Export) -> Result<(), Failure> {
             "98 % of the Gaussians along each axis lie in --crop \"{numbers}\", which leaves out the others"
         ));
     }
-    if scene.levelling() > MIN_LEVELLING {
-        let degrees = scene.levelling().to_degrees();
-        print_status(&format!(
-            "the world is turned by {degrees:.1} degrees against that of the result, to level it; --up keep \
-             leaves it"
-        ));
+    if selection.up != Up::Kept {
+        print_status(&levelled(&scene));
     }
     Ok(())
+}
+
+/// How the world was levelled.
+fn levelled(scene: &Scene) -> String {
+    let degrees = scene.levelling().to_degrees();
+    let ground = match scene.ground() {
+        Some(height) => {
+            format!("its ground, {:.2} below the origin of the result, is at zero", -height)
+        }
+        None => "no ground was found, the origin is that of the result".into(),
+    };
+    format!("the world is levelled, by {degrees:.1} degrees, and {ground}; --up keep leaves it")
 }
 
 /// Numbers of a box, rounded outward to a thousandth or less of its longest edge.

@@ -5,13 +5,13 @@ use super::super::gltf::Buffers;
 use super::super::scene::Scene;
 use super::Mesh;
 use crate::pictures::byte;
-use i2slam::geometry::{Rotation, Vec3};
+use i2slam::geometry::{Pose, Vec3};
 use serde_json::json;
 use std::io::{self, Write};
 
 /// Writes binary PLY with normals and 8-bit colours, y down as all PLY files of this project.
 pub fn write_ply(out: &mut dyn Write, mesh: &Mesh, scene: &Scene, comment: &str) -> io::Result<()> {
-    let (positions, normals) = turned(mesh, scene.rotation(Axes::YDown));
+    let (positions, normals) = moved(mesh, scene.file_from_world(Axes::YDown));
     writeln!(out, "ply\nformat binary_little_endian 1.0\ncomment {comment}")?;
     writeln!(out, "element vertex {}", positions.len())?;
     for property in ["x", "y", "z", "nx", "ny", "nz"] {
@@ -44,7 +44,7 @@ pub fn write_glb(
     scene: &Scene,
     generator: &str,
 ) -> io::Result<()> {
-    let (positions, normals) = turned(mesh, scene.rotation(Axes::YUp));
+    let (positions, normals) = moved(mesh, scene.file_from_world(Axes::YUp));
     // Vertex colours of glTF are linear.
     let colours: Vec<[u16; 4]> = mesh
         .colours
@@ -81,9 +81,11 @@ pub fn write_glb(
 type Rows = Vec<[f32; 3]>;
 
 /// Positions and normals in the world of a file.
-fn turned(mesh: &Mesh, turn: Rotation<f64>) -> (Rows, Rows) {
-    let row = |v: Vec3<f64>| turn.rotate(v).to_array().map(|v| v as f32);
-    (mesh.positions.iter().map(|&p| row(p)).collect(), normals(mesh).into_iter().map(row).collect())
+fn moved(mesh: &Mesh, file_from_world: Pose<f64>) -> (Rows, Rows) {
+    let row = |v: Vec3<f64>| v.to_array().map(|v| v as f32);
+    let positions = mesh.positions.iter().map(|&p| row(file_from_world * p)).collect();
+    let normals = normals(mesh).into_iter().map(|n| row(file_from_world.rotation.rotate(n)));
+    (positions, normals.collect())
 }
 
 /// Unit normals of the vertices: means over their triangles, weighted by area.
