@@ -9,6 +9,7 @@ use std::borrow::Cow;
 use std::ffi::OsString;
 use std::io::{self, Write};
 use std::process;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Reason why a program ended without success.
 #[derive(Debug)]
@@ -77,7 +78,25 @@ pub(crate) fn print(line: &str) {
 /// are escaped already.
 pub(crate) fn print_text(text: &str) {
     let mut out = io::stdout().lock();
-    writeln!(out, "{}", without_controls(text)).and_then(|()| out.flush()).ok();
+    let written = writeln!(out, "{}", without_controls(text)).and_then(|()| out.flush());
+    // A reader that has seen enough, such as `head`, closes the pipe.
+    if written.is_err_and(|error| error.kind() != io::ErrorKind::BrokenPipe) {
+        IS_OUTPUT_LOST.store(true, Ordering::Relaxed);
+    }
+}
+
+/// Whether something could not be written to standard output.
+static IS_OUTPUT_LOST: AtomicBool = AtomicBool::new(false);
+
+/// Fails if something that was printed could not be written.
+///
+/// # Errors
+/// [`Failure::Failed`], where the disk that standard output goes to is full.
+pub(crate) fn check_output_is_whole() -> Result<(), Failure> {
+    match IS_OUTPUT_LOST.load(Ordering::Relaxed) {
+        true => Err(Failure::Failed("cannot write to standard output: is its disk full?".into())),
+        false => Ok(()),
+    }
 }
 
 /// Prints one line on standard error: a warning, an error, progress.

@@ -30,7 +30,9 @@ use std::process::ExitCode;
 /// one the flag is refused.
 pub fn run_program(recorder: Option<Recorder>) -> ExitCode {
     let arguments: commands::Arguments = console::parse_arguments();
-    match failure::catch_panics(|| commands::dispatch(arguments.command, recorder)) {
+    match failure::catch_panics(|| commands::dispatch(arguments.command, recorder))
+        .and_then(|()| console::check_output_is_whole())
+    {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => ExitCode::from(failure.report()),
     }

@@ -8,7 +8,7 @@ use crate::recording::{Recorder, Recording};
 use crate::result_folder::is_result;
 use clap::Args;
 use i2slam::RunOptions;
-use i2slam_storage::{Claim, OutputFolder};
+use i2slam_storage::{Claim, Manifest, OutputFolder, first_entry};
 use std::path::{Path, PathBuf};
 
 #[derive(Args, Debug)]
@@ -36,20 +36,21 @@ pub(crate) fn demo(arguments: &Demo, recorder: Option<Recorder>) -> Result<(), F
         false => (RunOptions::with_depth(), "i2slam-demo"),
     };
     let out = arguments.out.clone().unwrap_or_else(|| usual.into());
+    refuse_others(&out)?;
     let recording = Recording::of(&arguments.rerun, recorder, [&out, &out], false)?;
     let job = Job {
         dataset: out.join("clip"),
-        out,
         options,
         settings_file: None,
         held_out_frames: None,
         renders: RenderSelection::All,
-        overwrite: true,
+        overwrite: holds_demo(&out),
         quiet: arguments.machine.quiet,
         poses: None,
         live: arguments.live.start()?,
         recording,
         title: Some("demo clip"),
+        out,
     };
     job.check_output()?;
     if !job.quiet && is_result(&job.out) {
@@ -68,13 +69,32 @@ pub(crate) fn demo(arguments: &Demo, recorder: Option<Recorder>) -> Result<(), F
     reconstruction::run(&job)
 }
 
+/// Command in the manifest of the clip.
+const COMMAND: &str = "i2slam demo";
+
+/// Tells if a folder holds an earlier demo, whole or in part, by its clip.
+fn holds_demo(folder: &Path) -> bool {
+    Manifest::of(&folder.join("clip")).is_some_and(|manifest| manifest.command == COMMAND)
+}
+
+/// Refuses a folder with anything but an earlier demo in it.
+fn refuse_others(out: &Path) -> Result<(), Failure> {
+    match first_entry(out).filter(|_| !holds_demo(out)) {
+        Some(name) => Err(Failure::Usage(format!(
+            "--out {}: is not empty, it holds {name} and no earlier demo: choose another folder",
+            out.display()
+        ))),
+        None => Ok(()),
+    }
+}
+
 /// Names of the clip's files and folders.
 const NAMES: &[&str] =
     &["rgb", "depth", "rgb.txt", "depth.txt", "groundtruth.txt", "camera.json", "README.md"];
 
 /// Writes the clip, so that it can be looked at and run again.
 fn unpack(clip: &Path) -> Result<(), Failure> {
-    let claim = Claim { command: "i2slam demo", names: NAMES, overwrite: true };
+    let claim = Claim { command: COMMAND, names: NAMES, overwrite: true };
     let mut folder = OutputFolder::replace(clip, claim)?;
     for (name, bytes) in CLIP {
         folder.write(name, |file| file.write_all(bytes))?;

@@ -46,6 +46,30 @@ fn assert_whole(out: &Path, case: &str) {
 }
 
 #[test]
+fn a_demo_replaces_demos_alone() {
+    let room = Room::new("demo-in-result", frames(2));
+    room.run(&["--render", "keyframes"]).exits_with(0);
+    let (result, mine) = (contents(&room.out), room.scratch.join("mine"));
+    fs::create_dir(&mine).expect("room");
+    fs::write(mine.join("a.rs"), "mine").expect("room");
+    for folder in [&room.out, &mine] {
+        i2slam!("demo", "--out", folder).exits_with(2).stderr_contains("and no earlier demo");
+    }
+    assert_eq!(contents(&room.out), result);
+    assert_eq!(contents(&mine).len(), 1);
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn what_cannot_be_printed_is_a_failure() {
+    let full = fs::OpenOptions::new().write(true).open("/dev/full").expect("a full disk");
+    let ran = Ran::from(
+        program(["presets", "default"]).stdout(full).stderr(Stdio::piped()).output().expect("runs"),
+    );
+    ran.exits_with(1).stderr_contains("cannot write to standard output");
+}
+
+#[test]
 #[cfg(unix)]
 fn no_file_is_written_or_removed_through_a_link() {
     use std::os::unix::fs::symlink;

@@ -160,6 +160,11 @@ impl Scene {
         format!("{}.{extension}", stem.cloned().unwrap_or_else(number))
     }
 
+    /// Whether there is a map.
+    pub fn has_map(&self) -> bool {
+        !self.reconstruction.map.is_empty()
+    }
+
     /// Number of Gaussians that were chosen; 0 of a hash grid.
     pub fn gaussians(&self) -> usize {
         self.reconstruction.map.gaussians()
@@ -214,9 +219,9 @@ impl Scene {
     /// # Errors
     /// [`ExportError::Refused`].
     pub(crate) fn require_map(&self) -> Result<(), ExportError> {
-        match self.reconstruction.map.is_empty() {
-            true => Err(ExportError::refused("the map of the result is empty")),
-            false => Ok(()),
+        match self.has_map() {
+            true => Ok(()),
+            false => Err(ExportError::refused("the map of the result is empty")),
         }
     }
 

@@ -105,11 +105,13 @@ pub(super) fn viewer(report: &Report<'_>, exists: bool) -> String {
 }
 
 /// The first frame with pictures at other exposures, darker and brighter than it was taken.
-pub(super) fn brackets(comparisons: &[Comparison]) -> String {
+pub(super) fn brackets(comparisons: &[Comparison], is_toned: bool) -> String {
     let Some(comparison) = comparisons.iter().find(|c| !c.brackets.is_empty()) else {
-        return "<p class=\"none\">This run has no high dynamic range: exposure, white balance and \
-                camera response were switched off.</p>"
-            .to_owned();
+        let reason = match is_toned {
+            true => "no frame was rendered",
+            false => "exposure, white balance and camera response were switched off",
+        };
+        return format!("<p class=\"none\">This run has no high dynamic range: {reason}.</p>");
     };
     let mut out = String::from("<div class=\"brackets\">");
     for (stops, picture) in &comparison.brackets {

@@ -54,7 +54,10 @@ impl Report<'_> {
             ("warnings", warning_section(&self.metrics.warnings)),
             ("gallery", gallery::gallery(self)),
             ("viewer", gallery::viewer(self, exists(VIEWER_FILE))),
-            ("brackets", gallery::brackets(self.comparisons)),
+            (
+                "brackets",
+                gallery::brackets(self.comparisons, self.reconstruction.config.formation.tone),
+            ),
             ("trajectory", plots::trajectory(self)),
             ("tone", plots::tone(self)),
             ("motion", plots::blur(self)),

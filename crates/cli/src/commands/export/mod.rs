@@ -57,6 +57,9 @@ pub(crate) fn export(arguments: &Export) -> Result<(), Failure> {
     let what = with_unit(&written?, arguments.format, &scene);
     print(&format!("{what}, in {}", arguments.out.display()));
     let can_be_cut = !matches!(arguments.format, Format::Tum | Format::Csv);
+    if arguments.machine.quiet {
+        return Ok(());
+    }
     if let Some(bounds) = scene.bounds().filter(|_| can_be_cut && selection.crop.is_none()) {
         let numbers = box_numbers(bounds);
         print_status(&format!(
@@ -64,13 +67,13 @@ pub(crate) fn export(arguments: &Export) -> Result<(), Failure> {
         ));
     }
     if selection.up != Up::Kept {
-        print_status(&levelled(&scene));
+        print_status(&levelled(&scene, selection.up));
     }
     Ok(())
 }
 
 /// How the world was levelled.
-fn levelled(scene: &Scene) -> String {
+fn levelled(scene: &Scene, up: Up) -> String {
     let degrees = scene.levelling().to_degrees();
     let ground = match scene.ground() {
         Some(height) => {
@@ -78,7 +81,11 @@ fn levelled(scene: &Scene) -> String {
         }
         None => "no ground was found, the origin is that of the result".into(),
     };
-    format!("the world is levelled, by {degrees:.1} degrees, and {ground}; --up keep leaves it")
+    let by = match (scene.has_map(), up) {
+        (false, Up::Estimated) => " by the cameras alone, as the map is empty",
+        _ => "",
+    };
+    format!("the world is levelled{by}, by {degrees:.1} degrees, and {ground}; --up keep leaves it")
 }
 
 /// Numbers of a box, rounded outward to a thousandth or less of its longest edge.
