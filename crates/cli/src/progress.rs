@@ -63,11 +63,13 @@ struct Phase {
     first: usize,
     done: usize,
     started: Instant,
+    /// The first report of finished steps: the time before it is that of preparations, too.
+    timed_from: Option<(usize, Instant)>,
 }
 
 impl Phase {
     fn new(name: &'static str, first: usize, total: usize) -> Self {
-        Self { name, total, first, done: first, started: Instant::now() }
+        Self { name, total, first, done: first, started: Instant::now(), timed_from: None }
     }
 
     /// True if it goes on with so many steps of work that is called `name`; mapping starts over when the
@@ -85,15 +87,28 @@ impl Phase {
 
     /// Expected time for the remaining steps in words, once it can be extrapolated.
     fn rest(&self, done: usize) -> String {
-        let seconds = self.seconds_per_step(done) * self.total.saturating_sub(done) as f64;
-        match done > 0 && self.started.elapsed() > MIN_MEASURED {
-            true => format!("  {seconds:.0} s left of this step"),
-            false => String::new(),
+        let is_measured = self.started.elapsed() > MIN_MEASURED;
+        match self.seconds_per_step(done).filter(|_| is_measured) {
+            Some(seconds) => {
+                let seconds = seconds * self.total.saturating_sub(done) as f64;
+                format!("  {seconds:.0} s left of this step")
+            }
+            None => String::new(),
         }
     }
 
-    fn seconds_per_step(&self, done: usize) -> f64 {
-        self.started.elapsed().as_secs_f64() / done.saturating_sub(self.first).max(1) as f64
+    /// Counts so many steps as finished.
+    fn finish(&mut self, done: usize) {
+        self.done = done;
+        if done > self.first {
+            self.timed_from.get_or_insert_with(|| (done, Instant::now()));
+        }
+    }
+
+    /// Time of a step; none before two reports of finished ones.
+    fn seconds_per_step(&self, done: usize) -> Option<f64> {
+        let (from, since) = self.timed_from.filter(|(from, _)| done > *from)?;
+        Some(since.elapsed().as_secs_f64() / (done - from) as f64)
     }
 }
 
@@ -152,7 +167,7 @@ impl Progress {
                 bar.set_length(total as u64);
             }
         }
-        phase.done = done;
+        phase.finish(done);
         match &self.display {
             Display::Bar(bar) if total == 0 && done > 0 => bar.set_message(done.to_string()),
             Display::Lines(lines) if total == 0 && done > 0 && lines.is_due() => {
@@ -208,22 +223,25 @@ impl Observer for Progress {
     }
 
     fn frame(&self, estimate: &FrameEstimate, done: usize, total: usize) {
-        let Ok(phase) = self.phase.lock() else { return };
+        let Ok(mut phase) = self.phase.lock() else { return };
         // Frames are mapped beside the adjustment of the path, too.
         if !phase.maps_frames() {
             return;
         }
         // More frames may be tracked than are mapped.
         let done = done.max(phase.done);
+        phase.finish(done);
         self.show_live(phase.name, done, total);
-        let seconds = phase.seconds_per_step(done);
+        let seconds = phase.seconds_per_step(done).map(|seconds| format!("{seconds:.2} s/frame  "));
         let size = match estimate.gaussians {
             0 => String::new(),
             count => format!("{count} Gaussians  "),
         };
         let figures = format!(
-            "{seconds:.2} s/frame  loss {:.4}  {size}blur {:.1} px",
-            estimate.losses.image, estimate.blur_length
+            "{}loss {:.4}  {size}blur {:.1} px",
+            seconds.unwrap_or_default(),
+            estimate.losses.image,
+            estimate.blur_length
         );
         match &self.display {
             Display::Bar(bar) => {
@@ -231,10 +249,8 @@ impl Observer for Progress {
                 bar.set_message(figures);
             }
             Display::Lines(lines) if lines.is_due() || done == total => {
-                let (name, left) = (phase.name, seconds * total.saturating_sub(done) as f64);
-                print_status(&format!(
-                    "{name} {done}/{total}  {figures}  {left:.0} s left of this step"
-                ));
+                let (name, left) = (phase.name, phase.rest(done));
+                print_status(&format!("{name} {done}/{total}  {figures}{left}"));
             }
             Display::Lines(_) | Display::Quiet => {}
         }
@@ -347,8 +363,20 @@ mod tests {
     #[test]
     fn steps_done_before_a_phase_take_none_of_its_time() {
         let started = Instant::now() - Duration::from_secs(10);
-        let phase = Phase { started, ..Phase::new("mapping frames", 30, 40) };
-        assert!((phase.seconds_per_step(35) - 2.0).abs() < 0.1);
+        let phase = Phase { started, ..Phase::new("mapping frames", 29, 40) };
+        let phase = Phase { timed_from: Some((30, started)), ..phase };
+        assert!((phase.seconds_per_step(35).expect("steps") - 2.0).abs() < 0.1);
         assert_eq!(phase.rest(35), "  10 s left of this step");
+    }
+
+    #[test]
+    fn preparations_are_no_step() {
+        let started = Instant::now() - Duration::from_secs(100);
+        let mut phase = Phase { started, ..Phase::new("mapping frames", 0, 80) };
+        phase.finish(0);
+        assert_eq!((phase.timed_from, phase.rest(0)), (None, String::new()));
+        phase.finish(1);
+        assert_eq!(phase.rest(1), "");
+        assert!(phase.seconds_per_step(2).expect("a step") < 1.0);
     }
 }

@@ -219,6 +219,11 @@ fn what_cannot_be_exported_is_told() {
     let constant = ["--format", "ply", "--constant-exposure"];
     refused(&constant, "--constant-exposure is for --format video");
     refused(&["--format", "ply", "--voxel", "0.1"], "--voxel is for --format mesh");
+    let views = room.scratch.join("views.txt");
+    fs::write(&views, "1 0 0 0 0 0 0 1\n").expect("room");
+    let views = views.to_str().expect("a path");
+    refused(&["--format", "ply", "--poses", views], "--poses is for --format video");
+    refused(&["--format", "video", "--poses", views], "at least two poses");
     refused(&["--format", "ply", "--crop", "0 0 0"], "six numbers");
     refused(&["--format", "ply", "--up", "down"], "expected `estimate`");
     let out = room.scratch.join("a.ply");

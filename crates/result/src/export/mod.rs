@@ -26,6 +26,7 @@ mod smooth_path;
 pub mod splat;
 mod tables;
 pub mod video;
+mod view_path;
 mod views;
 mod watch;
 

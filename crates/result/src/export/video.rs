@@ -1,13 +1,15 @@
-//! A flight along the smoothed path of the camera as a video, encoded by ffmpeg.
+//! A flight as a video, along the smoothed path of the camera or through given views, encoded by ffmpeg.
 
 use super::error::ExportError;
 use super::scene::Scene;
 use super::smooth_path::smooth_path;
+use super::view_path::path_through;
 use super::watch::Watch;
 use crate::pictures::interleaved_bytes;
 use i2slam::LightMeter;
 use i2slam::dataset::{VideoEncoder, VideoFormat};
 use i2slam::formation::AutoExposureFit;
+use i2slam::geometry::StampedPose;
 use i2slam_storage::write_file;
 use std::hash::{BuildHasher, RandomState};
 use std::io;
@@ -27,7 +29,8 @@ pub struct Video {
     pub exposure: Option<AutoExposureFit>,
 }
 
-/// Writes the video, as long as the recording, with a comment. Pictures are exposed as the camera would
+/// Writes the video with a comment: as long as the recording, or through `views` of the result's world, whose
+/// times rise. Pictures are exposed as the camera would
 /// have done it, where the run's frames tell how; white balance and response are typical of the run.
 ///
 /// # Errors
@@ -36,13 +39,19 @@ pub struct Video {
 pub fn write(
     scene: &Scene,
     out: &Path,
+    views: Option<&[StampedPose]>,
     comment: &str,
     watch: &Watch<'_>,
 ) -> Result<Video, ExportError> {
     scene.require_map()?;
-    let times: Vec<f64> = scene.frames.iter().map(|frame| frame.timestamp).collect();
-    let poses: Vec<_> = scene.frames.iter().map(|frame| frame.middle()).collect();
-    let path = smooth_path(&times, &poses, f64::from(RATE));
+    let path = match views {
+        Some(views) => path_through(views, f64::from(RATE)),
+        None => {
+            let times: Vec<f64> = scene.frames.iter().map(|frame| frame.timestamp).collect();
+            let poses: Vec<_> = scene.frames.iter().map(|frame| frame.middle()).collect();
+            smooth_path(&times, &poses, f64::from(RATE))
+        }
+    };
     let reconstruction = &scene.reconstruction;
     let size = (reconstruction.camera.width, reconstruction.camera.height);
     // ffmpeg goes back to the beginning of a file when it ends, which a stream does not let it.

@@ -1,10 +1,11 @@
 //! Arguments of `i2slam export`.
 
 use super::format_parser::FormatParser;
-use crate::arguments::Machine;
+use crate::arguments::{Machine, existing_path};
 use crate::failure::Failure;
 use clap::{Args, ValueEnum};
-use i2slam::geometry::Vec3;
+use i2slam::dataset::read_trajectory;
+use i2slam::geometry::{StampedPose, Vec3};
 use i2slam_result::export::{CropBox, Selection, Up, colmap, nerfstudio};
 use std::path::PathBuf;
 
@@ -45,6 +46,10 @@ pub(crate) struct Export {
     /// One exposure for all pictures of a video, not those that the camera would have chosen
     #[arg(long)]
     pub(crate) constant_exposure: bool,
+    /// Views that a video flies through at their times, a file in the TUM format in the world of the result
+    /// [default: the smoothed path of the run]
+    #[arg(long, value_name = "FILE", value_parser = existing_path())]
+    pub(crate) poses: Option<PathBuf>,
     /// Keyframes alone, not all frames
     #[arg(long)]
     pub(crate) keyframes: bool,
@@ -137,6 +142,20 @@ impl Export {
 }
 
 impl Export {
+    /// The views to fly through.
+    pub(super) fn views(&self) -> Result<Option<Vec<StampedPose>>, Failure> {
+        let Some(file) = &self.poses else { return Ok(None) };
+        let views = read_trajectory(file)?;
+        let rises = views.windows(2).all(|pair| pair[0].timestamp < pair[1].timestamp);
+        match views.len() >= 2 && rises {
+            true => Ok(Some(views)),
+            false => Err(Failure::Usage(format!(
+                "--poses {}: expected at least two poses, whose times rise from line to line",
+                file.display()
+            ))),
+        }
+    }
+
     /// Refuses flags that the format has no use for.
     fn check_flags_of_formats(&self) -> Result<(), Failure> {
         let format = self.format;
@@ -171,6 +190,9 @@ impl Export {
         }
         if self.constant_exposure && format != Format::Video {
             return Err(Failure::Usage("--constant-exposure is for --format video".to_owned()));
+        }
+        if self.poses.is_some() && format != Format::Video {
+            return Err(Failure::Usage("--poses is for --format video".to_owned()));
         }
         match self.voxel {
             None => Ok(()),

@@ -16,6 +16,7 @@ use crate::result_folder::refuse_non_results;
 use crate::taken_pictures::{covered_pictures, sequence_of};
 use arguments::{COLMAP, FolderFormat, Format, NERFSTUDIO};
 use i2slam::FrameEstimate;
+use i2slam::geometry::StampedPose;
 use i2slam_result::export::video::Video;
 use i2slam_result::export::{
     Axes, ExportError, LoadTaken, MARK, Scene, Up, Watch, colmap, compressed_ply, csv, glb, mesh,
@@ -36,7 +37,7 @@ impl From<ExportError> for Failure {
 }
 
 pub(crate) fn export(arguments: &Export) -> Result<(), Failure> {
-    let selection = arguments.selection()?;
+    let (selection, views) = (arguments.selection()?, arguments.views()?);
     place::check(arguments)?;
     arguments.machine.use_threads()?;
     note_saved_parts(&i2slam_storage::recover(&arguments.result));
@@ -52,7 +53,7 @@ pub(crate) fn export(arguments: &Export) -> Result<(), Failure> {
         progress: &|name, done, total| progress.step(name, done, total),
         cancellation: interrupt::cancellation(),
     };
-    let written = write(arguments, &scene, &watch);
+    let written = write(arguments, &scene, views.as_deref(), &watch);
     progress.clear();
     let what = with_unit(&written?, arguments.format, &scene);
     print(&format!("{what}, in {}", arguments.out.display()));
@@ -104,7 +105,12 @@ fn box_numbers(bounds: [f64; 6]) -> String {
 const MANY_TRIANGLES: usize = 1_000_000;
 
 /// Writes the file or folder; says what is in it.
-fn write(arguments: &Export, scene: &Scene, watch: &Watch<'_>) -> Result<String, Failure> {
+fn write(
+    arguments: &Export,
+    scene: &Scene,
+    views: Option<&[StampedPose]>,
+    watch: &Watch<'_>,
+) -> Result<String, Failure> {
     let out = &arguments.out;
     match arguments.format {
         Format::Colmap => write_folder(arguments, scene, COLMAP, |folder, taken| {
@@ -131,7 +137,7 @@ fn write(arguments: &Export, scene: &Scene, watch: &Watch<'_>) -> Result<String,
         }
         Format::Mesh => write_mesh(arguments, scene, watch),
         Format::Video => {
-            let video = video::write(scene, out, &mark("video"), watch)?;
+            let video = video::write(scene, out, views, &mark("video"), watch)?;
             Ok(described(&video))
         }
         Format::Tum => {
