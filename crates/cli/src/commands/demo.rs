@@ -44,7 +44,7 @@ pub(crate) fn demo(arguments: &Demo, recorder: Option<Recorder>) -> Result<(), F
         settings_file: None,
         held_out_frames: None,
         renders: RenderSelection::All,
-        overwrite: holds_demo(&out),
+        overwrite: true,
         quiet: arguments.machine.quiet,
         poses: None,
         live: arguments.live.start()?,

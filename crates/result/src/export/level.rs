@@ -28,6 +28,9 @@ const SPACING: usize = 4;
 const WINDOWS: [f64; 4] = [20.0, 12.0, 6.0, 3.0];
 /// Least share of all surfaces that must lie flat or stand, else cameras alone count.
 const MIN_SHARE: f64 = 0.15;
+/// Least share of the surfaces that bear out the best direction at which another one counts: to right
+/// angles, any of three does.
+const MIN_SUPPORT: f64 = 0.6;
 /// Largest mean angle by which cameras look up or down [degrees].
 const MAX_PITCH: f64 = 60.0;
 /// Least share of the second smallest spread of the cameras' right axes at which they span a plane.
@@ -92,7 +95,7 @@ fn best_up(normals: &[Vec3<f64>], poses: &[Pose<f64>], first: Vec3<f64>) -> Vec3
         tilts.sum::<f64>()
     };
     let most = ups.iter().map(|&up| support(up)).fold(MIN_SHARE, f64::max);
-    let borne_out = ups.iter().copied().filter(|&up| support(up) >= 0.8 * most);
+    let borne_out = ups.iter().copied().filter(|&up| support(up) >= MIN_SUPPORT * most);
     borne_out.min_by(|&a, &b| tilt(a).total_cmp(&tilt(b))).unwrap_or(first)
 }
 
