@@ -1,7 +1,8 @@
 //! Nothing of the user's is lost: links, files of others, two runs at once, kills, full disks.
 
-use crate::program::{Ran, Room, Scene, TemporaryFolder, i2slam, program};
+use crate::program::{Ran, Room, Running, Scene, TemporaryFolder, i2slam, program};
 use i2slam_check::names;
+use std::ffi::OsStr;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Stdio};
@@ -46,6 +47,7 @@ fn assert_whole(out: &Path, case: &str) {
 }
 
 #[test]
+#[cfg(unix)]
 fn a_demo_replaces_demos_alone() {
     let room = Room::new("demo-in-result", frames(2));
     room.run(&["--render", "keyframes"]).exits_with(0);
@@ -57,6 +59,18 @@ fn a_demo_replaces_demos_alone() {
     }
     assert_eq!(contents(&room.out), result);
     assert_eq!(contents(&mine).len(), 1);
+    let demo = room.scratch.join("demo");
+    let begins = || {
+        let mut running = Running::start(
+            program([OsStr::new("demo"), "--out".as_ref(), demo.as_ref()]).env("NO_COLOR", "1"),
+        );
+        running.until("this will take about");
+        running
+    };
+    for _ in 0..2 {
+        drop(begins().interrupted());
+        assert!(demo.join("clip/rgb.txt").is_file());
+    }
 }
 
 #[test]
