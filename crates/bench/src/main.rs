@@ -18,7 +18,9 @@ mod table;
 mod tables;
 
 use clap::Parser;
-use console::{Failure, counted, parse_arguments, print, print_status, print_text};
+use console::{
+    Failure, check_output_is_whole, counted, parse_arguments, print, print_status, print_text,
+};
 use interrupt::interrupted;
 use job::{Bench, Record};
 use metrics::Metrics;
@@ -77,7 +79,7 @@ struct Arguments {
 }
 
 fn main() -> ExitCode {
-    match run(&parse_arguments()) {
+    match run(&parse_arguments()).and_then(|()| check_output_is_whole()) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => ExitCode::from(failure.report()),
     }
