@@ -78,7 +78,8 @@ fn levelled(scene: &Scene, up: Up) -> String {
     let degrees = scene.levelling().to_degrees();
     let ground = match scene.ground() {
         Some(height) => {
-            format!("its ground, {:.2} below the origin of the result, is at zero", -height)
+            let unit = if scene.unit() == UnitOfLength::Metre { " m" } else { "" };
+            format!("its ground, {:.2}{unit} below the origin of the result, is at zero", -height)
         }
         None => "no ground was found, the origin is that of the result".into(),
     };
