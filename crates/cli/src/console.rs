@@ -85,7 +85,7 @@ pub(crate) fn print_text(text: &str) {
     }
 }
 
-/// Whether something could not be written to standard output.
+/// True once something could not be written to standard output.
 static IS_OUTPUT_LOST: AtomicBool = AtomicBool::new(false);
 
 /// Fails if something that was printed could not be written.

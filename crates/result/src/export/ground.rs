@@ -5,7 +5,7 @@ use i2slam::geometry::Vec3;
 /// A small piece of a surface as a camera sees it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Patch {
-    /// Where it is in the world.
+    /// Place in the world.
     pub place: Vec3<f64>,
     /// Unit normal towards the camera.
     pub normal: Vec3<f64>,

@@ -160,7 +160,7 @@ impl Scene {
         format!("{}.{extension}", stem.cloned().unwrap_or_else(number))
     }
 
-    /// Whether there is a map.
+    /// True if there is a map.
     pub fn has_map(&self) -> bool {
         !self.reconstruction.map.is_empty()
     }

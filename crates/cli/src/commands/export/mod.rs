@@ -73,7 +73,7 @@ pub(crate) fn export(arguments: &Export) -> Result<(), Failure> {
     Ok(())
 }
 
-/// How the world was levelled.
+/// Description of the levelling.
 fn levelled(scene: &Scene, up: Up) -> String {
     let degrees = scene.levelling().to_degrees();
     let ground = match scene.ground() {
