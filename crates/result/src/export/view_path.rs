@@ -6,7 +6,8 @@ use i2slam::geometry::{Pose, Rotation, StampedPose, Vec3};
 ///
 /// Between two views the path is the cubic of Hermite with the slopes of Catmull and Rom, those between the views
 /// before and after (at an end to the next one): of positions, and of rotations by their logarithms from the view
-/// before. It passes through the views without a jump in velocity of positions.
+/// before. It passes through the views without a jump in velocity of positions, which
+/// [`interpolate_pose`](i2slam::geometry::interpolate_pose), made for poses close together, has at each.
 pub(super) fn path_through(views: &[StampedPose], rate: f64) -> Vec<Pose<f64>> {
     let (Some(first), Some(last)) = (views.first(), views.last()) else { return Vec::new() };
     let count = ((last.timestamp - first.timestamp) * rate + 1e-6).floor() as usize + 1;
