@@ -96,23 +96,18 @@ pub(super) fn max_scale(
     }
 }
 
-/// Removes Gaussians nearly transparent, too large or not finite; returns the mask of the rest.
-pub(super) fn prune(map: &mut GaussianMap, max_scale: f32) -> Vec<bool> {
+/// False for each Gaussian that is nearly transparent, too large or not finite.
+pub(super) fn worth_keeping(map: &GaussianMap, max_scale: f32) -> Vec<bool> {
     let min_logit = logit(MIN_OPACITY);
     let max_log_scale = max_scale.ln();
-    let keep: Vec<bool> = (0..map.len())
-        .map(|i| {
-            let scale = map.log_scales[i].iter().copied().fold(f32::NEG_INFINITY, f32::max);
-            let view = map.view_colours.get(i).map_or(&[][..], |view| view.coefficients);
-            let values = map.means[i].iter().chain(&map.colours[i]).chain(view.as_flattened());
-            let finite = values.into_iter().all(|v| v.is_finite());
-            finite && map.opacity_logits[i] >= min_logit && scale <= max_log_scale
-        })
-        .collect();
-    if keep.contains(&false) {
-        map.retain(&keep);
-    }
-    keep
+    let is_worth_keeping = |i: usize| {
+        let scale = map.log_scales[i].iter().copied().fold(f32::NEG_INFINITY, f32::max);
+        let view = map.view_colours.get(i).map_or(&[][..], |view| view.coefficients);
+        let mut values = map.means[i].iter().chain(&map.colours[i]).chain(view.as_flattened());
+        let is_visible = map.opacity_logits[i] >= min_logit && scale <= max_log_scale;
+        is_visible && values.all(|v| v.is_finite())
+    };
+    (0..map.len()).map(is_worth_keeping).collect()
 }
 
 /// Marks the Gaussians that do not lie on a surface that a camera sees at `depth`, 0 where there is

@@ -1,6 +1,7 @@
 //! Mapping with 3D Gaussians.
 
 mod anchors;
+mod contribution;
 mod density_control;
 mod detail_evidence;
 mod flat_gaussians;
@@ -24,9 +25,10 @@ use crate::objective::{FrameObjective, FrameVariables, Observation};
 use crate::reconstruction::Map;
 use crate::tracking::{TrackingContext, TrackingResult};
 use anchors::Anchors;
+use contribution::{Contributions, PredictionError, compared};
 use density_control::{
-    SourceFrame, SurfaceVotes, max_scale, open_pixels, outside_surface, prune, push_balls,
-    unexplained_pixels,
+    SourceFrame, SurfaceVotes, max_scale, open_pixels, outside_surface, push_balls,
+    unexplained_pixels, worth_keeping,
 };
 use detail_evidence::DetailEvidence;
 use flat_gaussians::{partition, push_flat_gaussians};
@@ -96,10 +98,28 @@ impl GaussianMapper {
     }
 
     fn prune(&mut self) {
-        let keep = prune(&mut self.current.map, self.max_scale);
-        if keep.contains(&false) {
-            self.retain(&keep);
+        let keep = worth_keeping(&self.current.map, self.max_scale);
+        self.retain(&keep);
+    }
+
+    /// Removes Gaussians that contribute next to nothing to any picture.
+    fn prune_by_contribution(&mut self, context: &MappingContext<'_>) {
+        let mut error = PredictionError::default();
+        for keyframe in context.keyframes {
+            let (observation, curve) =
+                (keyframe.observation.get(), response_curve(context, keyframe));
+            let prediction = self.predict(context, (keyframe, &observation), curve.as_ref());
+            error.add(&prediction, &observation.colour, context.valid_mask);
         }
+        let tracked: Vec<_> = context.frames.iter().filter(|frame| frame.tracked).collect();
+        let mut contributions = Contributions::new(&self.current.map);
+        for frame in compared(&tracked, context.keyframes.len()) {
+            if context.cancellation.is_cancelled() {
+                return;
+            }
+            contributions.add(context.camera, frame.middle());
+        }
+        self.retain(&contributions.keep(error));
     }
 
     /// Gives a view colour to the Gaussians whose colour depends on the direction.
@@ -113,11 +133,16 @@ impl GaussianMapper {
             dependence.add(&self.current.map, gradient, origin);
         }
         self.current.map.view_colours = dependence.view_colours();
+        self.optimizer.forget_view_colours();
     }
 
-    /// Drops optimiser state and anchors of removed Gaussians.
+    /// Removes Gaussians, with their optimiser state and anchors.
     fn retain(&mut self, keep: &[bool]) {
-        self.optimizer.retain(keep);
+        if !keep.contains(&false) {
+            return;
+        }
+        self.optimizer.retain(keep, &self.current.map.view_colours);
+        self.current.map.retain(keep);
         self.anchors.retain(keep);
         self.scale_bounds.retain(keep);
     }
@@ -345,9 +370,10 @@ impl Mapper for GaussianMapper {
         Ok(FinalRefinement { steps, relocalizations: Self::RELOCALIZATIONS })
     }
 
-    /// Steps over all keyframes in random order, each equally often, then prunes. Flat Gaussians are
-    /// split first where at least a third of all steps is left to fit the parts. View colours begin
-    /// with the second part, when exposures have settled, which they would explain otherwise.
+    /// Steps over all keyframes in random order, each equally often, then prunes. First, flat Gaussians
+    /// that pictures hardly show are removed, and split where at least a third of all steps is left to
+    /// fit the parts. View colours begin with the second part, when exposures have settled, which they
+    /// would explain otherwise.
     fn refine_all(
         &mut self,
         context: &mut MappingContext<'_>,
@@ -355,7 +381,11 @@ impl Mapper for GaussianMapper {
         on_step: OnStep<'_>,
     ) -> bool {
         let splits = 3 * steps.start < 2 * total;
-        if splits && self.current.map.shape == Shape::Anisotropic {
+        let is_flat = self.current.map.shape == Shape::Anisotropic;
+        if is_flat {
+            self.prune_by_contribution(context);
+        }
+        if splits && is_flat {
             let mut evidence = self.detail_evidence(context);
             for keyframe in context.keyframes {
                 self.split(context, keyframe, &mut evidence);
@@ -389,10 +419,7 @@ impl Mapper for GaussianMapper {
 
     fn forget(&mut self, frames: &BTreeSet<usize>) {
         let keep = self.anchors.outside(frames);
-        if keep.contains(&false) {
-            self.current.map.retain(&keep);
-            self.retain(&keep);
-        }
+        self.retain(&keep);
     }
 
     fn replace_surface(
@@ -409,7 +436,6 @@ impl Mapper for GaussianMapper {
             return;
         }
         let was_open = open_pixels(map.shape, &self.render_at_depth(context, keyframe));
-        self.current.map.retain(&keep);
         self.retain(&keep);
         self.extend(context, keyframe, &was_open);
     }
@@ -423,10 +449,7 @@ impl Mapper for GaussianMapper {
             votes.add(&self.current.map, view);
         }
         let keep = votes.keep();
-        if keep.contains(&false) {
-            self.current.map.retain(&keep);
-            self.retain(&keep);
-        }
+        self.retain(&keep);
     }
 
     fn change_radiance(

@@ -8,7 +8,7 @@ use crate::mapping::mapper::ComparedMap;
 use crate::objective::{Evaluation, FrameVariables, ImageLoss, Observation};
 use i2slam_compute::Adam;
 use i2slam_formation::Formation;
-use i2slam_radiance::gaussian::{GaussianMap, MapGradient, Shape};
+use i2slam_radiance::gaussian::{GaussianMap, MapGradient, Shape, ViewColours};
 use rayon::prelude::*;
 
 /// λ_img, a mean over pixels (SplaTAM).
@@ -64,16 +64,23 @@ impl GaussianOptimizer {
         self.frames.forget_tone();
     }
 
-    /// Drops the moments of pruned Gaussians.
-    pub(crate) fn retain(&mut self, keep: &[bool]) {
+    /// Drops the moments of view colours that were replaced.
+    pub(crate) fn forget_view_colours(&mut self) {
+        self.view_colours.reset();
+        self.view_steps = StepCounts::default();
+    }
+
+    /// Drops the moments of Gaussians that are removed from a map with such view colours.
+    pub(crate) fn retain(&mut self, keep: &[bool], view_colours: &ViewColours) {
         self.step_counts.retain(keep);
         self.means.retain(keep, 3);
         self.log_scales.retain(keep, 3);
         self.rotations.retain(keep, 4);
         self.opacities.retain(keep, 1);
         self.colours.retain(keep, 3);
-        self.view_colours.reset();
-        self.view_steps = StepCounts::default();
+        let rows = view_colours.spread_flags(keep);
+        self.view_colours.retain(&rows, 3);
+        self.view_steps.retain(&rows);
     }
 
     /// Rotates the moments of a Gaussian's mean and quaternion.

@@ -1,0 +1,191 @@
+//! Removal of Gaussians that pictures hardly show.
+//!
+//! With its opacity `α` at a pixel and the transmittance `T` of what lies before it, a Gaussian makes the
+//! share `α T` of the pixel. Its contribution to a picture is the sum over pixels, `Σ α T` [px]: the
+//! derivative of the sum of a picture by the radiance of the Gaussian. One that is covered by others, or
+//! faint, contributes next to nothing to any picture.
+
+use i2slam_geometry::{Camera, Image, Pose};
+use i2slam_radiance::gaussian::{
+    ColourActivation, GaussianMap, MapGradient, RasterSettings, Rasterizer, ViewColours,
+};
+use i2slam_radiance::{RadianceMap, Render, RenderCotangent, View};
+
+/// Pictures to which contributions are compared, for each keyframe: what only frames between keyframes
+/// show must stay.
+const FRAMES_PER_KEYFRAME: usize = 3;
+/// Contribution below which a Gaussian is removed [px], over the error of a pixel: differing by a fifth of
+/// white from what lies behind it, it changes the sum of a picture by three errors of one pixel.
+const MIN_CONTRIBUTION: f32 = 3.0 / 0.2;
+
+/// Of so many `frames`, those to compare contributions with, evenly spread.
+pub(super) fn compared<T>(frames: &[T], keyframes: usize) -> impl Iterator<Item = &T> {
+    let spacing = frames.len().div_ceil(FRAMES_PER_KEYFRAME * keyframes.max(1)).max(1);
+    frames.iter().step_by(spacing)
+}
+
+/// Root mean square difference of predictions and pictures.
+#[derive(Clone, Copy, Default)]
+pub(super) struct PredictionError {
+    squares: f64,
+    values: usize,
+}
+
+impl PredictionError {
+    /// Adds a picture; pixels outside of the mask do not count.
+    pub(super) fn add(
+        &mut self,
+        prediction: &Image<f32>,
+        picture: &Image<f32>,
+        mask: Option<&Image<bool>>,
+    ) {
+        let is_valid = |pixel: usize| mask.is_none_or(|mask| mask.data[pixel]);
+        let pixels = picture.width * picture.height;
+        let values = prediction.data.iter().zip(&picture.data).enumerate();
+        for (_, (a, b)) in values.filter(|(value, _)| is_valid(value % pixels)) {
+            self.squares += f64::from(a - b).powi(2);
+            self.values += 1;
+        }
+    }
+
+    fn root_mean_square(self) -> f32 {
+        (self.squares / self.values.max(1) as f64).sqrt() as f32
+    }
+}
+
+/// Largest contribution of every Gaussian to any of a number of pictures.
+pub(super) struct Contributions {
+    /// The map, black.
+    map: GaussianMap,
+    rasterizer: Rasterizer,
+    render: Render,
+    gradient: MapGradient,
+    /// [px].
+    largest: Vec<f32>,
+}
+
+impl Contributions {
+    /// Before the first picture.
+    pub(super) fn new(map: &GaussianMap) -> Self {
+        let (activation, colours) = (ColourActivation::Linear, vec![[0.0; 3]; map.len()]);
+        let view_colours = ViewColours::default();
+        Self {
+            map: GaussianMap { activation, colours, view_colours, ..map.clone() },
+            rasterizer: Rasterizer::new(RasterSettings::default()),
+            render: Render::default(),
+            gradient: MapGradient::default(),
+            largest: vec![0.0; map.len()],
+        }
+    }
+
+    /// Takes the picture of a camera into account.
+    pub(super) fn add(&mut self, camera: &Camera<f64>, world_from_camera: Pose<f64>) {
+        let view = View { camera: camera.cast(), world_from_camera: world_from_camera.cast() };
+        self.map.render(&mut self.rasterizer, &view, &mut self.render);
+        let mut radiance = Image::new(camera.width, camera.height, 3);
+        radiance.plane_mut(0).fill(1.0);
+        let cotangent = RenderCotangent { radiance, ..RenderCotangent::default() };
+        self.gradient.reset(&self.map);
+        let gradient = Some(&mut self.gradient);
+        self.map.pull_back(&mut self.rasterizer, &view, &cotangent, gradient);
+        for (largest, [share, ..]) in self.largest.iter_mut().zip(&self.gradient.colours) {
+            *largest = largest.max(*share);
+        }
+    }
+
+    /// False for each Gaussian that contributes too little to all pictures, whose predictions err so much.
+    pub(super) fn keep(&self, error: PredictionError) -> Vec<bool> {
+        let least = MIN_CONTRIBUTION * error.root_mean_square();
+        self.largest.iter().map(|largest| *largest >= least).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use i2slam_geometry::Vec3;
+    use i2slam_radiance::gaussian::{Gaussian, Shape};
+
+    const SIDE: usize = 32;
+
+    fn ball(x: f32, z: f32, deviation: f32, opacity_logit: f32) -> Gaussian<f32> {
+        Gaussian {
+            mean: [x, 0.0, z],
+            log_scale: [deviation.ln(); 3],
+            rotation: [1.0, 0.0, 0.0, 0.0],
+            opacity_logit,
+            colour: [0.7, -0.3, 0.2],
+        }
+    }
+
+    /// A screen at 4 m, a ball behind it, one beside it, and a faint one.
+    fn scene() -> GaussianMap {
+        let mut map = GaussianMap::new(Shape::Anisotropic, ColourActivation::Exponential);
+        map.push(ball(1.0, 4.0, 0.6, 9.0));
+        map.push(ball(2.0, 8.0, 0.2, 9.0));
+        map.push(ball(-1.5, 4.0, 0.25, 0.0));
+        map.push(ball(-0.5, 4.0, 0.25, -5.0));
+        map
+    }
+
+    fn camera() -> Camera<f64> {
+        let (focal, half) = (SIDE as f64, 0.5 * SIDE as f64);
+        Camera { width: SIDE, height: SIDE, fx: focal, fy: focal, cx: half, cy: half }
+    }
+
+    fn contributions(places: &[f64]) -> Contributions {
+        let mut contributions = Contributions::new(&scene());
+        for x in places {
+            let translation = Vec3::new(*x, 0.0, 0.0);
+            contributions.add(&camera(), Pose { translation, ..Pose::identity() });
+        }
+        contributions
+    }
+
+    /// A constant error of predictions.
+    fn error(size: f32) -> PredictionError {
+        let mut error = PredictionError::default();
+        let picture = |value: f32| Image { data: vec![value; 12], ..Image::new(2, 2, 3) };
+        error.add(&picture(0.5 + size), &picture(0.5), None);
+        error
+    }
+
+    #[test]
+    fn contributions_are_sums_over_pixels() {
+        let found = contributions(&[0.0]).largest;
+        // Half opaque, 2 px wide and widened by 0.3 px².
+        let due = 0.5 * std::f32::consts::TAU * (2.0_f32.powi(2) + 0.3);
+        assert!((found[2] / due - 1.0).abs() < 0.03, "{found:?} {due}");
+        // What is fainter than 1/255 is not drawn.
+        assert!((0.05..2.0 * due / 5.0_f32.exp()).contains(&found[3]), "{found:?}");
+        assert!(found[1] < 0.3 && found[0] > 100.0, "{found:?}");
+    }
+
+    #[test]
+    fn what_any_picture_shows_is_kept() {
+        assert_eq!(contributions(&[0.0]).keep(error(0.02)), [true, false, true, false]);
+        // From the side the ball shows behind the screen.
+        let aside = contributions(&[0.0, 2.4]);
+        assert_eq!(aside.keep(error(0.02)), [true, true, true, false]);
+        assert_eq!(aside.keep(error(0.001)), [true; 4]);
+    }
+
+    #[test]
+    fn pixels_outside_of_the_mask_do_not_count() {
+        let mut error = PredictionError::default();
+        let picture = Image::new(2, 1, 3);
+        let prediction = Image { data: vec![0.1, 9.0, 0.1, 9.0, 0.1, 9.0], ..Image::new(2, 1, 3) };
+        let mask = Image { data: vec![true, false], ..Image::new(2, 1, 1) };
+        error.add(&prediction, &picture, Some(&mask));
+        assert!((error.root_mean_square() - 0.1).abs() < 1e-6);
+    }
+
+    #[test]
+    fn few_frames_of_a_long_recording_are_compared() {
+        let frames = Vec::from_iter(0..1000);
+        let chosen: Vec<_> = compared(&frames, 20).copied().collect();
+        assert!(chosen.len() > 50 && chosen.len() <= 60, "{chosen:?}");
+        assert!(chosen[0] == 0 && chosen[chosen.len() - 1] > 980);
+        assert_eq!(compared(&frames[..9], 3).count(), 9);
+    }
+}
