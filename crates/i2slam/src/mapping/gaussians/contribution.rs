@@ -4,6 +4,10 @@
 //! share `α T` of the pixel. Its contribution to a picture is the sum over pixels, `Σ α T` [px]: the
 //! derivative of the sum of a picture by the radiance of the Gaussian. One that is covered by others, or
 //! faint, contributes next to nothing to any picture.
+//!
+//! One that contributes `m` px and differs by `δ` from what lies behind it lowers the sum of squared errors
+//! by about `m δ²`. Its `p` numbers would lower it by `p e²` if they were fitted to errors of the size `e`
+//! alone, so that it tells of the scene where `m > p (e/δ)²`.
 
 use i2slam_geometry::{Camera, Image, Pose};
 use i2slam_radiance::gaussian::{
@@ -14,9 +18,10 @@ use i2slam_radiance::{RadianceMap, Render, RenderCotangent, View};
 /// Pictures to which contributions are compared, for each keyframe: what only frames between keyframes
 /// show must stay.
 const FRAMES_PER_KEYFRAME: usize = 3;
-/// Contribution below which a Gaussian is removed [px], over the error of a pixel: differing by a fifth of
-/// white from what lies behind it, it changes the sum of a picture by three errors of one pixel.
-const MIN_CONTRIBUTION: f32 = 3.0 / 0.2;
+/// Numbers of a Gaussian: centre, three deviations, rotation, opacity and colour.
+const PARAMETERS: f32 = 14.0;
+/// Difference of a Gaussian from what lies behind it; white is 1.
+const CONTRAST: f32 = 0.2;
 
 /// Of so many `frames`, those to compare contributions with, evenly spread.
 pub(super) fn compared<T>(frames: &[T], keyframes: usize) -> impl Iterator<Item = &T> {
@@ -24,7 +29,7 @@ pub(super) fn compared<T>(frames: &[T], keyframes: usize) -> impl Iterator<Item 
     frames.iter().step_by(spacing)
 }
 
-/// Root mean square difference of predictions and pictures.
+/// Mean squared difference of predictions and pictures.
 #[derive(Clone, Copy, Default)]
 pub(super) struct PredictionError {
     squares: f64,
@@ -48,8 +53,8 @@ impl PredictionError {
         }
     }
 
-    fn root_mean_square(self) -> f32 {
-        (self.squares / self.values.max(1) as f64).sqrt() as f32
+    fn mean_square(self) -> f32 {
+        (self.squares / self.values.max(1) as f64) as f32
     }
 }
 
@@ -93,9 +98,10 @@ impl Contributions {
         }
     }
 
-    /// False for each Gaussian that contributes too little to all pictures, whose predictions err so much.
+    /// False for each Gaussian that contributes too little to all pictures, whose predictions have such an
+    /// error.
     pub(super) fn keep(&self, error: PredictionError) -> Vec<bool> {
-        let least = MIN_CONTRIBUTION * error.root_mean_square();
+        let least = PARAMETERS * error.mean_square() / (CONTRAST * CONTRAST);
         self.largest.iter().map(|largest| *largest >= least).collect()
     }
 }
@@ -163,11 +169,11 @@ mod tests {
 
     #[test]
     fn what_any_picture_shows_is_kept() {
-        assert_eq!(contributions(&[0.0]).keep(error(0.02)), [true, false, true, false]);
+        assert_eq!(contributions(&[0.0]).keep(error(0.03)), [true, false, true, false]);
         // From the side the ball shows behind the screen.
         let aside = contributions(&[0.0, 2.4]);
-        assert_eq!(aside.keep(error(0.02)), [true, true, true, false]);
-        assert_eq!(aside.keep(error(0.001)), [true; 4]);
+        assert_eq!(aside.keep(error(0.03)), [true, true, true, false]);
+        assert_eq!(aside.keep(error(0.01)), [true; 4]);
     }
 
     #[test]
@@ -177,7 +183,7 @@ mod tests {
         let prediction = Image { data: vec![0.1, 9.0, 0.1, 9.0, 0.1, 9.0], ..Image::new(2, 1, 3) };
         let mask = Image { data: vec![true, false], ..Image::new(2, 1, 1) };
         error.add(&prediction, &picture, Some(&mask));
-        assert!((error.root_mean_square() - 0.1).abs() < 1e-6);
+        assert!((error.mean_square() - 0.01).abs() < 1e-6);
     }
 
     #[test]

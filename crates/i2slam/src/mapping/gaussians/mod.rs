@@ -102,24 +102,28 @@ impl GaussianMapper {
         self.retain(&keep);
     }
 
-    /// Removes Gaussians that contribute next to nothing to any picture.
+    /// Removes flat Gaussians that contribute next to nothing to any picture.
     fn prune_by_contribution(&mut self, context: &MappingContext<'_>) {
+        if self.current.map.shape == Shape::Isotropic {
+            return;
+        }
+        let is_running = || !context.cancellation.is_cancelled();
         let mut error = PredictionError::default();
-        for keyframe in context.keyframes {
-            let (observation, curve) =
-                (keyframe.observation.get(), response_curve(context, keyframe));
+        for keyframe in context.keyframes.iter().take_while(|_| is_running()) {
+            let observation = keyframe.observation.get();
+            let curve = response_curve(context, keyframe);
             let prediction = self.predict(context, (keyframe, &observation), curve.as_ref());
             error.add(&prediction, &observation.colour, context.valid_mask);
         }
         let tracked: Vec<_> = context.frames.iter().filter(|frame| frame.tracked).collect();
         let mut contributions = Contributions::new(&self.current.map);
-        for frame in compared(&tracked, context.keyframes.len()) {
-            if context.cancellation.is_cancelled() {
-                return;
-            }
+        for frame in compared(&tracked, context.keyframes.len()).take_while(|_| is_running()) {
             contributions.add(context.camera, frame.middle());
         }
-        self.retain(&contributions.keep(error));
+        // What not all pictures were asked about may show in the others.
+        if is_running() {
+            self.retain(&contributions.keep(error));
+        }
     }
 
     /// Gives a view colour to the Gaussians whose colour depends on the direction.
@@ -381,11 +385,8 @@ impl Mapper for GaussianMapper {
         on_step: OnStep<'_>,
     ) -> bool {
         let splits = 3 * steps.start < 2 * total;
-        let is_flat = self.current.map.shape == Shape::Anisotropic;
-        if is_flat {
-            self.prune_by_contribution(context);
-        }
-        if splits && is_flat {
+        self.prune_by_contribution(context);
+        if splits && self.current.map.shape == Shape::Anisotropic {
             let mut evidence = self.detail_evidence(context);
             for keyframe in context.keyframes {
                 self.split(context, keyframe, &mut evidence);
