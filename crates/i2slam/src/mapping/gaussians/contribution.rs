@@ -22,6 +22,9 @@ const FRAMES_PER_KEYFRAME: usize = 3;
 const PARAMETERS: f32 = 14.0;
 /// Difference of a Gaussian from what lies behind it; white is 1.
 const CONTRAST: f32 = 0.2;
+/// Contribution from which on a Gaussian stays, however large errors are [px]: those of a map that has just
+/// begun, or of wrong poses, tell nothing about it.
+const SUFFICIENT_CONTRIBUTION: f32 = 1.0;
 
 /// Of so many `frames`, those to compare contributions with, evenly spread.
 pub(super) fn compared<T>(frames: &[T], keyframes: usize) -> impl Iterator<Item = &T> {
@@ -102,6 +105,7 @@ impl Contributions {
     /// error.
     pub(super) fn keep(&self, error: PredictionError) -> Vec<bool> {
         let least = PARAMETERS * error.mean_square() / (CONTRAST * CONTRAST);
+        let least = least.min(SUFFICIENT_CONTRIBUTION);
         self.largest.iter().map(|largest| *largest >= least).collect()
     }
 }
@@ -174,6 +178,8 @@ mod tests {
         let aside = contributions(&[0.0, 2.4]);
         assert_eq!(aside.keep(error(0.03)), [true, true, true, false]);
         assert_eq!(aside.keep(error(0.01)), [true; 4]);
+        // However large the error is.
+        assert_eq!(contributions(&[0.0]).keep(error(0.5)), [true, false, true, false]);
     }
 
     #[test]
