@@ -5,9 +5,9 @@
 //! derivative of the sum of a picture by the radiance of the Gaussian. One that is covered by others, or
 //! faint, contributes next to nothing to any picture.
 //!
-//! One that contributes `m` px and differs by `δ` from what lies behind it lowers the sum of squared errors
-//! by about `m δ²`. Its `p` numbers would lower it by `p e²` if they were fitted to errors of the size `e`
-//! alone, so that it tells of the scene where `m > p (e/δ)²`.
+//! The limit is the contribution `m` with which a contrast of `δ` explains as much squared error, `m δ²`, as
+//! `p` numbers do that are fitted to independent errors of the size `e`: `m = p (e/δ)²`. It is an estimate:
+//! a faint Gaussian explains less, one that several pictures show more.
 
 use i2slam_geometry::{Camera, Image, Pose};
 use i2slam_radiance::gaussian::{
@@ -15,21 +15,19 @@ use i2slam_radiance::gaussian::{
 };
 use i2slam_radiance::{RadianceMap, Render, RenderCotangent, View};
 
-/// Pictures to which contributions are compared, for each keyframe: what only frames between keyframes
-/// show must stay.
-const FRAMES_PER_KEYFRAME: usize = 3;
+/// Frames between keyframes that are asked, too, for each keyframe: what they alone show must stay.
+const FRAMES_PER_KEYFRAME: usize = 2;
 /// Numbers of a Gaussian: centre, three deviations, rotation, opacity and colour.
 const PARAMETERS: f32 = 14.0;
 /// Difference of a Gaussian from what lies behind it; white is 1.
 const CONTRAST: f32 = 0.2;
-/// Contribution from which on a Gaussian stays, however large errors are [px]: those of a map that has just
-/// begun, or of wrong poses, tell nothing about it.
-const SUFFICIENT_CONTRIBUTION: f32 = 1.0;
+/// Contribution from which on a Gaussian stays, however large errors are [px].
+const SUFFICIENT_CONTRIBUTION: f32 = 0.5;
 
-/// Of so many `frames`, those to compare contributions with, evenly spread.
-pub(super) fn compared<T>(frames: &[T], keyframes: usize) -> impl Iterator<Item = &T> {
-    let spacing = frames.len().div_ceil(FRAMES_PER_KEYFRAME * keyframes.max(1)).max(1);
-    frames.iter().step_by(spacing)
+/// Of frames between keyframes those that are asked, evenly spread up to the last one.
+pub(super) fn spread_frames<T>(frames: &[T], keyframes: usize) -> impl Iterator<Item = &T> {
+    let count = frames.len().min(FRAMES_PER_KEYFRAME * keyframes);
+    (1..=count).map(move |number| &frames[number * frames.len() / count - 1])
 }
 
 /// Mean squared difference of predictions and pictures.
@@ -63,7 +61,7 @@ impl PredictionError {
 
 /// Largest contribution of every Gaussian to any of a number of pictures.
 pub(super) struct Contributions {
-    /// The map, black.
+    /// The map with linear colours, whose derivative is the contribution.
     map: GaussianMap,
     rasterizer: Rasterizer,
     render: Render,
@@ -86,27 +84,33 @@ impl Contributions {
         }
     }
 
-    /// Takes the picture of a camera into account.
-    pub(super) fn add(&mut self, camera: &Camera<f64>, world_from_camera: Pose<f64>) {
+    /// Takes the picture of a camera into account, without the pixels outside of the mask.
+    pub(super) fn add(
+        &mut self,
+        camera: &Camera<f64>,
+        world_from_camera: Pose<f64>,
+        mask: Option<&Image<bool>>,
+    ) {
         let view = View { camera: camera.cast(), world_from_camera: world_from_camera.cast() };
         self.map.render(&mut self.rasterizer, &view, &mut self.render);
         let mut radiance = Image::new(camera.width, camera.height, 3);
-        radiance.plane_mut(0).fill(1.0);
+        for (pixel, value) in radiance.plane_mut(0).iter_mut().enumerate() {
+            *value = if mask.is_none_or(|mask| mask.data[pixel]) { 1.0 } else { 0.0 };
+        }
         let cotangent = RenderCotangent { radiance, ..RenderCotangent::default() };
         self.gradient.reset(&self.map);
         let gradient = Some(&mut self.gradient);
         self.map.pull_back(&mut self.rasterizer, &view, &cotangent, gradient);
-        for (largest, [share, ..]) in self.largest.iter_mut().zip(&self.gradient.colours) {
-            *largest = largest.max(*share);
+        for (largest, [contribution, ..]) in self.largest.iter_mut().zip(&self.gradient.colours) {
+            *largest = largest.max(*contribution);
         }
     }
 
-    /// False for each Gaussian that contributes too little to all pictures, whose predictions have such an
-    /// error.
+    /// False for each Gaussian whose largest contribution is below the limit for an error of predictions.
     pub(super) fn keep(&self, error: PredictionError) -> Vec<bool> {
-        let least = PARAMETERS * error.mean_square() / (CONTRAST * CONTRAST);
-        let least = least.min(SUFFICIENT_CONTRIBUTION);
-        self.largest.iter().map(|largest| *largest >= least).collect()
+        let limit = PARAMETERS * error.mean_square() / (CONTRAST * CONTRAST);
+        let limit = if limit.is_finite() { limit.min(SUFFICIENT_CONTRIBUTION) } else { 0.0 };
+        self.largest.iter().map(|largest| *largest >= limit).collect()
     }
 }
 
@@ -147,7 +151,7 @@ mod tests {
         let mut contributions = Contributions::new(&scene());
         for x in places {
             let translation = Vec3::new(*x, 0.0, 0.0);
-            contributions.add(&camera(), Pose { translation, ..Pose::identity() });
+            contributions.add(&camera(), Pose { translation, ..Pose::identity() }, None);
         }
         contributions
     }
@@ -178,8 +182,9 @@ mod tests {
         let aside = contributions(&[0.0, 2.4]);
         assert_eq!(aside.keep(error(0.03)), [true, true, true, false]);
         assert_eq!(aside.keep(error(0.01)), [true; 4]);
-        // However large the error is.
+        // However large the error is, or unknown.
         assert_eq!(contributions(&[0.0]).keep(error(0.5)), [true, false, true, false]);
+        assert_eq!(contributions(&[0.0]).keep(error(f32::NAN)), [true; 4]);
     }
 
     #[test]
@@ -190,14 +195,23 @@ mod tests {
         let mask = Image { data: vec![true, false], ..Image::new(2, 1, 1) };
         error.add(&prediction, &picture, Some(&mask));
         assert!((error.mean_square() - 0.01).abs() < 1e-6);
+        let mut contributions = Contributions::new(&scene());
+        let right = Image {
+            data: (0..SIDE * SIDE).map(|p| p % SIDE >= SIDE / 2).collect(),
+            ..Image::new(SIDE, SIDE, 1)
+        };
+        contributions.add(&camera(), Pose::identity(), Some(&right));
+        let found = contributions.largest;
+        assert!(found[0] > 100.0 && found[2] < 0.01, "{found:?}");
     }
 
     #[test]
-    fn few_frames_of_a_long_recording_are_compared() {
+    fn few_frames_of_a_long_recording_are_asked() {
         let frames = Vec::from_iter(0..1000);
-        let chosen: Vec<_> = compared(&frames, 20).copied().collect();
-        assert!(chosen.len() > 50 && chosen.len() <= 60, "{chosen:?}");
-        assert!(chosen[0] == 0 && chosen[chosen.len() - 1] > 980);
-        assert_eq!(compared(&frames[..9], 3).count(), 9);
+        let chosen: Vec<_> = spread_frames(&frames, 20).copied().collect();
+        assert!(chosen.len() == 40 && chosen[39] == 999 && chosen[0] < 25, "{chosen:?}");
+        assert!(chosen.windows(2).all(|pair| pair[1] - pair[0] == 25));
+        assert_eq!(spread_frames(&frames[..9], 30).count(), 9);
+        assert_eq!(spread_frames(&frames[..0], 3).count(), 0);
     }
 }

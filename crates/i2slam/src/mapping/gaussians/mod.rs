@@ -22,10 +22,10 @@ use super::mapper::{ComparedMap, FinalRefinement, Growth, Mapper};
 use super::window::overlapping_window;
 use crate::config::Config;
 use crate::objective::{FrameObjective, FrameVariables, Observation};
-use crate::reconstruction::Map;
+use crate::reconstruction::{FrameEstimate, Map};
 use crate::tracking::{TrackingContext, TrackingResult};
 use anchors::Anchors;
-use contribution::{Contributions, PredictionError, compared};
+use contribution::{Contributions, PredictionError, spread_frames};
 use density_control::{
     SourceFrame, SurfaceVotes, max_scale, open_pixels, outside_surface, push_balls,
     unexplained_pixels, worth_keeping,
@@ -115,10 +115,17 @@ impl GaussianMapper {
             let prediction = self.predict(context, (keyframe, &observation), curve.as_ref());
             error.add(&prediction, &observation.colour, context.valid_mask);
         }
-        let tracked: Vec<_> = context.frames.iter().filter(|frame| frame.tracked).collect();
+        let frames = context.frames.iter().enumerate();
+        let is_between = |place: usize| !context.is_keyframe(place);
+        let between: Vec<&FrameEstimate> = frames
+            .filter(|(place, frame)| frame.tracked && !frame.held_out && is_between(*place))
+            .map(|(_, frame)| frame)
+            .collect();
+        let keyframes = context.keyframes.iter().map(|keyframe| &context.frames[keyframe.frame]);
+        let others = spread_frames(&between, context.keyframes.len()).copied();
         let mut contributions = Contributions::new(&self.current.map);
-        for frame in compared(&tracked, context.keyframes.len()).take_while(|_| is_running()) {
-            contributions.add(context.camera, frame.middle());
+        for frame in keyframes.chain(others).take_while(|_| is_running()) {
+            contributions.add(context.camera, frame.middle(), context.valid_mask);
         }
         // What not all pictures were asked about may show in the others.
         if is_running() {
@@ -140,7 +147,7 @@ impl GaussianMapper {
         self.optimizer.forget_view_colours();
     }
 
-    /// Removes Gaussians, with their optimiser state and anchors.
+    /// Removes Gaussians, with their optimiser state, anchors and least sizes.
     fn retain(&mut self, keep: &[bool]) {
         if !keep.contains(&false) {
             return;
@@ -375,9 +382,9 @@ impl Mapper for GaussianMapper {
     }
 
     /// Steps over all keyframes in random order, each equally often, then prunes. First, flat Gaussians
-    /// that pictures hardly show are removed, and split where at least a third of all steps is left to
-    /// fit the parts. View colours begin with the second part, when exposures have settled, which they
-    /// would explain otherwise.
+    /// that pictures hardly show are removed, and the others are split where at least a third of all
+    /// steps is left to fit the parts. View colours begin with the second part, when exposures have
+    /// settled, which they would explain otherwise.
     fn refine_all(
         &mut self,
         context: &mut MappingContext<'_>,
@@ -385,7 +392,9 @@ impl Mapper for GaussianMapper {
         on_step: OnStep<'_>,
     ) -> bool {
         let splits = 3 * steps.start < 2 * total;
-        self.prune_by_contribution(context);
+        if !steps.is_empty() {
+            self.prune_by_contribution(context);
+        }
         if splits && self.current.map.shape == Shape::Anisotropic {
             let mut evidence = self.detail_evidence(context);
             for keyframe in context.keyframes {
