@@ -224,6 +224,14 @@ fn parse_intrinsics(words: &[String]) -> Result<(Option<PathBuf>, Option<[f64; 4
     }
 }
 
+/// Exactly N finite numbers, between spaces or commas.
+pub(crate) fn numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
+    let words = text.split([' ', ',']).filter(|word| !word.is_empty());
+    let numbers: Option<Vec<f64>> = words.map(|word| word.parse().ok()).collect();
+    let numbers: [f64; N] = numbers?.try_into().ok()?;
+    numbers.iter().all(|v| v.is_finite()).then_some(numbers)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -262,9 +262,10 @@ pub(super) fn print_summary(
     registration.iter().for_each(|line| print(line));
     let memory = metrics.peak_memory_bytes.map(|bytes| format!(", {} MB", bytes / 1_000_000));
     print(&format!(
-        "{:.2} s per frame, {:.0} s to the finished map{}",
+        "{:.2} s per frame, {:.0} s to {}{}",
         metrics.seconds_per_frame,
         metrics.seconds,
+        if metrics.complete { "the finished map" } else { "the interrupt" },
         memory.unwrap_or_default()
     ));
     let absolute = std::path::absolute(folder).unwrap_or_else(|_| folder.to_owned());

@@ -49,6 +49,7 @@ pub(crate) fn demo(arguments: &Demo, recorder: Option<Recorder>) -> Result<(), F
         poses: None,
         live: arguments.live.start()?,
         recording,
+        is_rgb_chosen: false,
         title: Some("demo clip"),
         out,
     };

@@ -1,6 +1,6 @@
 //! `i2slam render`: renders a saved result from its own poses or from others.
 
-use crate::arguments::{Machine, existing_path, frame_range};
+use crate::arguments::{Machine, existing_path, frame_range, numbers};
 use crate::console::{counted, print, print_status};
 use crate::failure::Failure;
 use crate::interrupt;
@@ -308,12 +308,9 @@ fn frames(
 
 fn parse_pose(text: &str) -> Result<Pose<f64>, Failure> {
     let wrong = |why: &str| Failure::Usage(format!("`{text}` is no pose: {why}"));
-    let expected = "expected seven numbers, tx ty tz qx qy qz qw, with spaces between them";
-    let numbers: Result<Vec<f64>, _> = text.split_whitespace().map(str::parse).collect();
-    let numbers: Option<[f64; 7]> = numbers.ok().and_then(|n| n.try_into().ok());
-    let [x, y, z, qx, qy, qz, qw] = numbers.ok_or_else(|| wrong(expected))?;
+    let expected = "expected seven numbers, all finite, as in trajectory.txt: tx ty tz qx qy qz qw";
+    let [x, y, z, qx, qy, qz, qw] = numbers::<7>(text).ok_or_else(|| wrong(expected))?;
     let rotation = Rotation::from_wxyz(qw, qx, qy, qz);
     let rotation = rotation.ok_or_else(|| wrong("its quaternion qx qy qz qw has no length"))?;
-    let pose = Pose::new(rotation, Vec3::new(x, y, z));
-    if pose.is_finite() { Ok(pose) } else { Err(wrong("its numbers must be finite")) }
+    Ok(Pose::new(rotation, Vec3::new(x, y, z)))
 }

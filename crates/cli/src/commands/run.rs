@@ -181,13 +181,9 @@ pub(crate) fn run(arguments: &Run, recorder: Option<Recorder>) -> Result<(), Fai
     }
     refuse_results(&arguments.dataset)?;
     if !arguments.rgb && is_without_depth(&arguments.dataset) {
-        if !arguments.machine.quiet && !is_video(&arguments.dataset) {
-            let name = arguments.dataset.display();
-            print_status(&format!(
-                "{name} has pictures and no depth: run by colour alone, as with --rgb"
-            ));
-        }
-        return reconstruction::run(&job(&Run { rgb: true, ..arguments.clone() }, recorder)?);
+        let arguments = Run { rgb: true, ..arguments.clone() };
+        let is_rgb_chosen = !is_video(&arguments.dataset);
+        return reconstruction::run(&Job { is_rgb_chosen, ..job(&arguments, recorder)? });
     }
     reconstruction::run(&job(arguments, recorder)?)
 }
@@ -259,6 +255,7 @@ fn job(arguments: &Run, recorder: Option<Recorder>) -> Result<Job<'_>, Failure> 
             _ => None,
         },
         renders,
+        is_rgb_chosen: false,
         overwrite: arguments.overwrite,
         quiet: arguments.machine.quiet,
         poses,

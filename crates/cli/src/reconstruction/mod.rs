@@ -38,6 +38,8 @@ pub(crate) struct Job<'a> {
     pub(crate) held_out_frames: Option<&'a Path>,
     /// Frames whose renders are written.
     pub(crate) renders: RenderSelection,
+    /// True if colour alone was chosen for a folder because it has no depth.
+    pub(crate) is_rgb_chosen: bool,
     /// Whether an earlier result in `out` may be replaced.
     pub(crate) overwrite: bool,
     pub(crate) quiet: bool,
@@ -102,6 +104,12 @@ pub(crate) fn run(job: &Job<'_>) -> Result<(), Failure> {
         print_status(&format!("looking through {}", dataset.display()));
     }
     let sequence = job.options.open_sequence(dataset)?;
+    if job.is_rgb_chosen && !job.quiet {
+        let name = dataset.display();
+        print_status(&format!(
+            "{name} has pictures and no depth: run by colour alone, as with --rgb"
+        ));
+    }
     let mut job = job.clone();
     if let Some(list) = job.held_out_frames {
         job.options.config.mapping.hold_out_frames = listed_frames(list, &sequence)?;

@@ -118,12 +118,12 @@ fn a_result_is_no_sequence_and_a_preset_may_be_misspelt() {
     i2slam!("info", room.out).exits_with(2).stderr_contains("is a result of `i2slam run`");
     i2slam!("run", room.out).exits_with(2).stderr_contains("is a result of `i2slam run`");
     for (pose, words) in
-        [("0,0,0,0,0,0,1", "with spaces between them"), ("0 0 0 0 0 0 0", "has no length")]
+        [("0 0 0 0 0 0 nan", "expected seven numbers"), ("0,0,0, 0,0,0,0", "has no length")]
     {
         i2slam!("render", room.out, "--pose", pose).exits_with(2).stderr_contains(words);
     }
     let ply = room.scratch.join("map.ply");
-    let ran = i2slam!("export", room.out, "--format", "ply", "-o", ply).exits_with(0);
+    let ran = i2slam!("export", room.out, "--format", "PLY", "-o", ply).exits_with(0);
     let found = ran.err.split("lie in --crop \"").nth(1).and_then(|rest| rest.split('"').next());
     let found = found.unwrap_or_else(|| panic!("no box: {}", ran.err));
     i2slam!("export", room.out, "--format", "ply", "-o", ply, "--overwrite", "--crop", found)

@@ -109,6 +109,7 @@ impl TransformsFile {
             FrameEntry::synchronous((index, index), timestamp, colour, depth)
         });
         let mut listing = Listing::new(Layout::Nerfstudio, entries.collect());
+        listing.are_times_assumed = rising.is_none();
         listing.drop_without_depth(self.records.len() - records.len(), "no depth_file_path");
         listing.set_poses(|i, _| self.pose(records[i]));
         listing.warnings.extend(self.intrinsics_warning());

@@ -123,6 +123,7 @@ fn nerfstudio_frames_come_in_order_with_opencv_axes() {
     let folder = nerfstudio();
     let sequence = open(&folder).expect("opens");
     assert_eq!((sequence.layout, sequence.len()), (Layout::Nerfstudio, 3));
+    assert!(sequence.are_times_assumed, "its pictures are numbered");
     assert_eq!((sequence.frames_with_depth(), sequence.dropped.without_depth), (2, 0));
     let nearest = OpenOptions { depth_pairing: DepthPairing::Nearest, ..OpenOptions::default() };
     let sequence = Sequence::open(&folder.0, &nearest).expect("opens");

@@ -20,6 +20,8 @@ const COARSE_STEP: f64 = 0.5;
 const FINE_STEP: f64 = 0.2;
 /// Largest cost relative to a global shutter at which a readout is accepted.
 pub(crate) const MAX_COST_RATIO: f64 = 0.97;
+/// Fewer frames do not tell the readout from other errors of their few poses.
+pub(crate) const MIN_FRAMES: usize = 8;
 const ADJUSTMENT_STEPS: usize = 8;
 /// Stretches of a long sequence that are searched, and frames of each.
 const SAMPLE_STRETCHES: usize = 3;
@@ -51,11 +53,14 @@ pub(crate) struct ReadoutSearch {
 }
 
 impl ReadoutSearch {
-    /// A search from the present readout on; `None` of fewer than two frames.
+    /// A search from the present readout on; `None` of too few frames.
     pub(crate) fn new(state: &SfmState, adjust_focal: bool) -> Option<Self> {
         let timestamps = Arc::clone(&state.timestamps);
         let interval = median_frame_interval(&timestamps)?;
         let posed = state.adjusted_frames();
+        if posed.len() < MIN_FRAMES {
+            return None;
+        }
         let stretches: Vec<&[usize]> = if posed.len() <= SAMPLE_STRETCHES * STRETCH_FRAMES {
             vec![&posed]
         } else {
@@ -316,6 +321,15 @@ mod tests {
     }
 
     /// Each would be wrong if the other were fixed at a wrong value.
+    #[test]
+    fn a_few_frames_tell_no_readout() {
+        for (frames, found) in [(MIN_FRAMES - 1, 0.0), (60, 0.5)] {
+            let mut rolling = state(frames, 0.5);
+            estimate_rolling_shutter(&mut rolling, false);
+            assert!((rolling.readout - found).abs() < 0.05, "{frames}: {}", rolling.readout);
+        }
+    }
+
     #[test]
     fn readout_and_focal_length_are_found_together() {
         let mut rolling = state(60, 0.6);

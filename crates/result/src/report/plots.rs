@@ -2,6 +2,7 @@
 
 use super::Report;
 use crate::UnitOfLength;
+use crate::numbers::thousands;
 use crate::plot::{Horizontal, Plot, Series, Style};
 use i2slam::Config;
 use i2slam::FrameEstimate;
@@ -303,10 +304,15 @@ pub(super) fn statistics(report: &Report<'_>) -> String {
     if frames.iter().all(|f| f.gaussians == 0) {
         return plots.iter().map(Plot::html).collect();
     }
-    let mut size = over_frames("Map", "Gaussians in the map, in thousands.", "thousands");
-    let thousands = |f: &FrameEstimate| f.gaussians as f64 / 1000.0;
+    let explanation = format!(
+        "Gaussians in the map when each frame was mapped, in thousands. The last steps split and remove some: {} \
+         in the end.",
+        thousands(report.metrics.gaussians)
+    );
+    let mut size = over_frames("Map", &explanation, "thousands");
+    let in_thousands = |f: &FrameEstimate| f.gaussians as f64 / 1000.0;
     size.series =
-        vec![Series::line("Gaussians", "c4", points(frames, thousands)).styled(Style::Area)];
+        vec![Series::line("Gaussians", "c4", points(frames, in_thousands)).styled(Style::Area)];
     plots.push(size);
     plots.iter().map(Plot::html).collect()
 }

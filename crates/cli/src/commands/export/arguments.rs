@@ -1,7 +1,7 @@
 //! Arguments of `i2slam export`.
 
 use super::format_parser::FormatParser;
-use crate::arguments::{Machine, existing_path};
+use crate::arguments::{Machine, existing_path, numbers};
 use crate::failure::Failure;
 use clap::{Args, ValueEnum};
 use i2slam::dataset::read_trajectory;
@@ -14,7 +14,7 @@ pub(crate) struct Export {
     /// Result folder of a run
     pub(crate) result: PathBuf,
     /// Format of the export
-    #[arg(long, value_name = "FORMAT", value_parser = FormatParser)]
+    #[arg(long, value_name = "FORMAT", ignore_case = true, value_parser = FormatParser)]
     pub(crate) format: Format,
     /// The file to write, or the folder
     #[arg(short, long, value_name = "PATH")]
@@ -229,14 +229,6 @@ fn parse_up(text: &str) -> Result<Up, Failure> {
             "--up \"{text}\": expected `estimate`, `keep`, or a direction as in \"0 -1 0.2\""
         ))
     })
-}
-
-/// Exactly N finite numbers, between spaces or commas.
-fn numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
-    let words = text.split([' ', ',']).filter(|word| !word.is_empty());
-    let numbers: Option<Vec<f64>> = words.map(|word| word.parse().ok()).collect();
-    let numbers: [f64; N] = numbers?.try_into().ok()?;
-    numbers.iter().all(|v| v.is_finite()).then_some(numbers)
 }
 
 #[cfg(test)]

@@ -12,6 +12,7 @@ pub use file::{write_glb, write_ply};
 use super::error::ExportError;
 use super::scene::Scene;
 use super::watch::Watch;
+use crate::numbers::significant;
 use i2slam::geometry::{Image, Vec3};
 use volume::{DepthView, Volume};
 
@@ -58,12 +59,15 @@ pub fn build(
         watch.step("fusing depth", done, scene.frames.len())?;
         let pose = frame.middle();
         let colour: Image<f32> = viewer.sharp(&reconstruction.virtual_frame(frame.index, pose));
-        volume.add(&DepthView {
+        let is_added = volume.add(&DepthView {
             camera: &reconstruction.camera,
             world_from_camera: pose,
             depth: &viewer.depth(pose),
             colour: &colour,
-        })?;
+        });
+        if !is_added {
+            return Err(too_many_voxels(voxel, pixel_at_median_depth(scene)));
+        }
     }
     watch.step("making triangles", 0, 0)?;
     let mesh = clean::without_specks(&extract::surface(&volume));
@@ -72,6 +76,16 @@ pub fn build(
 
 fn no_surface() -> ExportError {
     ExportError::refused("the map shows no surface from its frames, of which a mesh could be made")
+}
+
+/// Refusal of voxels of this edge [m], with the size of a pixel at the median depth.
+fn too_many_voxels(voxel: f64, pixel: Option<f64>) -> ExportError {
+    let larger = pixel.unwrap_or(0.0).max(2.0 * voxel);
+    let [voxel, larger] = [voxel, larger].map(significant);
+    ExportError::refused(format!(
+        "the scene is too large for voxels of {voxel}: choose larger ones as in --voxel {larger}, or a part of \
+         it with --crop"
+    ))
 }
 
 /// Reason why voxels of this edge [m] give no triangle.

@@ -48,7 +48,7 @@ fn fused() -> Mesh {
     let mut volume = Volume::new(0.02);
     for world_from_camera in poses() {
         let view = DepthView { camera: &camera, world_from_camera, depth: &depth, colour: &colour };
-        volume.add(&view).expect("a small scene");
+        assert!(volume.add(&view));
     }
     surface(&volume)
 }
@@ -104,6 +104,8 @@ fn a_scene_with_too_many_voxels_is_refused() {
     };
     let mut volume = Volume::new(0.02);
     volume.max_blocks = 10;
-    let refused = volume.add(&view).expect_err("too many voxels").to_string();
-    assert!(refused.contains("--voxel 0.040") && refused.contains("--crop"), "{refused}");
+    assert!(!volume.add(&view));
+    let refused = |pixel| too_many_voxels(0.02, pixel).to_string();
+    assert!(refused(None).contains("--voxel 0.040") && refused(None).contains("--crop"));
+    assert!(refused(Some(0.1)).contains("--voxel 0.10"), "{}", refused(Some(0.1)));
 }

@@ -1,8 +1,6 @@
 //! A truncated signed distance field in sparse blocks (Curless and Levoy 1996; blocks after Niessner et
 //! al. 2013).
 
-use super::super::error::ExportError;
-use crate::numbers::significant;
 use i2slam::geometry::{Camera, Image, Pose, Vec3};
 use rayon::prelude::*;
 use std::collections::HashMap;
@@ -63,13 +61,12 @@ impl Volume {
         self.places.get(&place).copied()
     }
 
-    /// Adds a picture.
-    ///
-    /// # Errors
-    /// [`ExportError::Refused`] where the scene has too many voxels.
-    pub(super) fn add(&mut self, view: &DepthView<'_>) -> Result<(), ExportError> {
+    /// Adds a picture; false if the scene has too many voxels.
+    pub(super) fn add(&mut self, view: &DepthView<'_>) -> bool {
         let cosines = cosines(view);
-        self.allocate(view, &cosines)?;
+        if !self.allocate(view, &cosines) {
+            return false;
+        }
         let (voxel, camera_from_world) = (self.voxel, view.world_from_camera.inverse());
         self.blocks.par_iter_mut().for_each(|block| {
             let corner = Vec3::from_array(block.place.map(f64::from)) * (voxel * SIDE as f64);
@@ -77,11 +74,11 @@ impl Volume {
                 block.add(view, &cosines, camera_from_world, voxel);
             }
         });
-        Ok(())
+        true
     }
 
-    /// Makes room around the surfaces of a picture.
-    fn allocate(&mut self, view: &DepthView<'_>, cosines: &[f64]) -> Result<(), ExportError> {
+    /// Makes room around the surfaces of a picture; false if that takes too much.
+    fn allocate(&mut self, view: &DepthView<'_>, cosines: &[f64]) -> bool {
         let (band, block) = (TRUNCATION * self.voxel, self.voxel * SIDE as f64);
         for (pixel, _) in cosines.iter().enumerate().filter(|(_, cosine)| **cosine > 0.0) {
             let (column, row) = (pixel % view.depth.width, pixel / view.depth.width);
@@ -99,14 +96,10 @@ impl Volume {
                 }
             }
             if self.blocks.len() > self.max_blocks {
-                let [now, more] = [self.voxel, 2.0 * self.voxel].map(significant);
-                return Err(ExportError::refused(format!(
-                    "the scene is too large for voxels of {now}: choose larger ones as in \
-                     --voxel {more}, or a part of it with --crop"
-                )));
+                return false;
             }
         }
-        Ok(())
+        true
     }
 }
 

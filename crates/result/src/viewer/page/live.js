@@ -3,6 +3,9 @@ const PAUSE = 1000, run = document.createElement("span");
 run.id = "run";
 run.role = "status";
 $("top").insertBefore(run, $("actions"));
+const waiting = document.createElement("p");
+waiting.id = "waiting";
+$("stage").insertBefore(waiting, $("message"));
 let version = 0, silent = 0, followed = 0;
 
 async function ask() {
@@ -17,9 +20,17 @@ async function ask() {
     ended = ++silent > 5;
     run.textContent = ended ? "The program has ended; this is the last map it gave." : "Waiting for the program\u2026";
   }
+  showWaiting(ended);
   document.body.dataset.run = ended ? "ended" : "on";
   document.body.dataset.version = version;
   if (!ended) setTimeout(ask, PAUSE);
+}
+
+// Says why the stage is empty as long as there is no map.
+function showWaiting(ended) {
+  waiting.hidden = scene.gaussians > 0;
+  const path = frames.length ? " The path so far: Overview." : "";
+  waiting.textContent = ended ? "There is no map to show." : "No map to show yet." + path;
 }
 
 // Replaces scene and map. The view stays; at the last camera that was mapped it goes on to the new one,
