@@ -7,7 +7,8 @@
 //!
 //! The limit is the contribution `m` with which a contrast of `δ` explains as much squared error, `m δ²`, as
 //! `p` numbers do that are fitted to independent errors of the size `e`: `m = p (e/δ)²`. It is an estimate:
-//! a faint Gaussian explains less, one that several pictures show more.
+//! a faint Gaussian explains less, one that several pictures show more. Together those that go make at most
+//! a small share of all light: of pictures of few pixels many Gaussians make a little each.
 
 use i2slam_geometry::{Camera, Image, Pose};
 use i2slam_radiance::gaussian::{
@@ -23,6 +24,8 @@ const PARAMETERS: f32 = 14.0;
 const CONTRAST: f32 = 0.2;
 /// Contribution from which on a Gaussian stays, however large errors are [px].
 const SUFFICIENT_CONTRIBUTION: f32 = 0.5;
+/// Of the contributions of all Gaussians to all pictures, the most that is removed.
+const MAX_REMOVED_SHARE: f64 = 0.005;
 
 /// Of frames between keyframes those that are asked, evenly spread up to the last one.
 pub(super) fn spread_frames<T>(frames: &[T], keyframes: usize) -> impl Iterator<Item = &T> {
@@ -59,15 +62,17 @@ impl PredictionError {
     }
 }
 
-/// Largest contribution of every Gaussian to any of a number of pictures.
+/// Contributions of every Gaussian to a number of pictures.
 pub(super) struct Contributions {
     /// The map with linear colours, whose derivative is the contribution.
     map: GaussianMap,
     rasterizer: Rasterizer,
     render: Render,
     gradient: MapGradient,
-    /// [px].
+    /// To the picture that shows a Gaussian best [px].
     largest: Vec<f32>,
+    /// To all pictures together [px].
+    sum: Vec<f64>,
 }
 
 impl Contributions {
@@ -81,6 +86,7 @@ impl Contributions {
             render: Render::default(),
             gradient: MapGradient::default(),
             largest: vec![0.0; map.len()],
+            sum: vec![0.0; map.len()],
         }
     }
 
@@ -101,16 +107,30 @@ impl Contributions {
         self.gradient.reset(&self.map);
         let gradient = Some(&mut self.gradient);
         self.map.pull_back(&mut self.rasterizer, &view, &cotangent, gradient);
-        for (largest, [contribution, ..]) in self.largest.iter_mut().zip(&self.gradient.colours) {
+        let found = self.largest.iter_mut().zip(&mut self.sum);
+        for ((largest, sum), [contribution, ..]) in found.zip(&self.gradient.colours) {
             *largest = largest.max(*contribution);
+            *sum += f64::from(*contribution);
         }
     }
 
-    /// False for each Gaussian whose largest contribution is below the limit for an error of predictions.
+    /// False for each Gaussian whose largest contribution is below the limit for an error of predictions,
+    /// smallest ones first as long as their share of all light is small.
     pub(super) fn keep(&self, error: PredictionError) -> Vec<bool> {
         let limit = PARAMETERS * error.mean_square() / (CONTRAST * CONTRAST);
         let limit = if limit.is_finite() { limit.min(SUFFICIENT_CONTRIBUTION) } else { 0.0 };
-        self.largest.iter().map(|largest| *largest >= limit).collect()
+        let mut keep = vec![true; self.largest.len()];
+        let mut below = Vec::from_iter((0..keep.len()).filter(|&id| self.largest[id] < limit));
+        below.sort_by(|&a, &b| self.largest[a].total_cmp(&self.largest[b]));
+        let mut remaining = MAX_REMOVED_SHARE * self.sum.iter().sum::<f64>();
+        for id in below {
+            remaining -= self.sum[id];
+            if remaining < 0.0 {
+                break;
+            }
+            keep[id] = false;
+        }
+        keep
     }
 }
 
@@ -185,6 +205,24 @@ mod tests {
         // However large the error is, or unknown.
         assert_eq!(contributions(&[0.0]).keep(error(0.5)), [true, false, true, false]);
         assert_eq!(contributions(&[0.0]).keep(error(f32::NAN)), [true; 4]);
+    }
+
+    #[test]
+    fn what_many_small_gaussians_make_together_is_kept() {
+        // A wall of faint balls, each of which makes less than a fifth of a pixel.
+        let mut map = GaussianMap::new(Shape::Anisotropic, ColourActivation::Exponential);
+        for place in 0..SIDE * SIDE {
+            let (column, row) = (place % SIDE, place / SIDE);
+            let centre = |at: usize| 4.0 * ((at as f32 + 0.5) / SIDE as f32 - 0.5);
+            let mut ball = ball(centre(column), 4.0, 0.01, -2.3);
+            ball.mean[1] = centre(row);
+            map.push(ball);
+        }
+        let mut contributions = Contributions::new(&map);
+        contributions.add(&camera(), Pose::identity(), None);
+        assert!(contributions.largest.iter().all(|largest| (0.01..0.2).contains(largest)));
+        let kept = contributions.keep(error(0.1)).iter().filter(|keep| **keep).count();
+        assert!((0.98..1.0).contains(&(kept as f64 / map.len() as f64)), "{kept}");
     }
 
     #[test]

@@ -113,11 +113,6 @@ impl GaussianMapper {
             .filter(|(place, frame)| frame.tracked && !frame.held_out && is_between(*place))
             .map(|(_, frame)| frame)
             .collect();
-        // Keyframes alone are photographs, a set of which lost 5 dB, or those of a film by colour alone,
-        // whose other frames are not known yet and may show what they do not.
-        if between.is_empty() {
-            return;
-        }
         let is_running = || !context.cancellation.is_cancelled();
         let mut error = PredictionError::default();
         for keyframe in context.keyframes.iter().take_while(|_| is_running()) {
