@@ -28,7 +28,9 @@ use crate::register::registration::{
 };
 use crate::relocalize::relocalization::{FailedPairs, relocalize};
 use crate::result::{Reconstruction, build_reconstruction, reconstruction_so_far};
-use crate::rolling_shutter::readout::{estimate_rolling_shutter, median_frame_interval};
+use crate::rolling_shutter::readout::{
+    MIN_READOUT_FRAMES, estimate_rolling_shutter, median_frame_interval,
+};
 use crate::rolling_shutter::rolling_shutter_init::initialize_readout;
 use crate::segmentation::moving_tracks::leave_out_moving_objects;
 use crate::sfm_state::SfmState;
@@ -384,9 +386,9 @@ fn photographs_state(
 }
 
 /// Corrects the rows of all observations for the readout that explains the rotations best; with the
-/// tracks of every frame, in order.
+/// tracks of every frame, in order. A whole film of too few frames tells none.
 fn correct_rows(state: &mut SfmState, by_frame: &[Vec<usize>]) {
-    if !state.estimates_distortion {
+    if !state.estimates_distortion && state.tracks.frames >= MIN_READOUT_FRAMES {
         let (tracks, timestamps) = (&mut state.tracks, &state.timestamps);
         state.readout =
             initialize_readout((tracks, by_frame), &state.camera, timestamps, &state.progress);

@@ -21,7 +21,7 @@ const FINE_STEP: f64 = 0.2;
 /// Largest cost relative to a global shutter at which a readout is accepted.
 pub(crate) const MAX_COST_RATIO: f64 = 0.97;
 /// Fewer frames do not tell the readout from other errors of their few poses.
-pub(crate) const MIN_FRAMES: usize = 8;
+pub(crate) const MIN_READOUT_FRAMES: usize = 8;
 const ADJUSTMENT_STEPS: usize = 8;
 /// Stretches of a long sequence that are searched, and frames of each.
 const SAMPLE_STRETCHES: usize = 3;
@@ -58,7 +58,7 @@ impl ReadoutSearch {
         let timestamps = Arc::clone(&state.timestamps);
         let interval = median_frame_interval(&timestamps)?;
         let posed = state.adjusted_frames();
-        if posed.len() < MIN_FRAMES {
+        if posed.len() < MIN_READOUT_FRAMES {
             return None;
         }
         let stretches: Vec<&[usize]> = if posed.len() <= SAMPLE_STRETCHES * STRETCH_FRAMES {
@@ -323,7 +323,7 @@ mod tests {
     /// Each would be wrong if the other were fixed at a wrong value.
     #[test]
     fn a_few_frames_tell_no_readout() {
-        for (frames, found) in [(MIN_FRAMES - 1, 0.0), (60, 0.5)] {
+        for (frames, found) in [(MIN_READOUT_FRAMES - 1, 0.0), (60, 0.5)] {
             let mut rolling = state(frames, 0.5);
             estimate_rolling_shutter(&mut rolling, false);
             assert!((rolling.readout - found).abs() < 0.05, "{frames}: {}", rolling.readout);

@@ -5,9 +5,7 @@
 
 use crate::multiview::two_view::{RayPair, fit_rotation, ray_pairs};
 use crate::progress::{Progress, Stage};
-use crate::rolling_shutter::readout::{
-    MAX_COST_RATIO, MIN_FRAMES, median_frame_interval, parabola_minimum,
-};
+use crate::rolling_shutter::readout::{MAX_COST_RATIO, median_frame_interval, parabola_minimum};
 use crate::sfm_state::MAX_READOUT;
 use crate::track::tracks::{Tracks, shared_positions};
 use i2slam_geometry::{Camera, Rotation, Vec3};
@@ -20,17 +18,13 @@ const STEPS_PER_SIDE: i32 = 4;
 const FRAME_GAP: usize = 4;
 
 /// Estimates the readout [frame intervals] from rotation rates and corrects all observations; 0 if
-/// none is clearly better than a global shutter, or of too few frames. `by_frame` has the tracks of
-/// every frame, in order.
+/// none is clearly better than a global shutter. `by_frame` has the tracks of every frame, in order.
 pub(crate) fn initialize_readout(
     (tracks, by_frame): (&mut Tracks, &[Vec<usize>]),
     camera: &Camera<f64>,
     timestamps: &[f64],
     progress: &Progress,
 ) -> f64 {
-    if tracks.frames < MIN_FRAMES {
-        return 0.0;
-    }
     progress.report(Stage::RollingShutter, 0, 0);
     let Some(times) = whole_intervals(timestamps) else { return 0.0 };
     let rates = rotation_rates(tracks, by_frame, camera, &times);
