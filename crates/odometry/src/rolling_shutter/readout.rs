@@ -28,8 +28,11 @@ const SAMPLE_STRETCHES: usize = 3;
 const STRETCH_FRAMES: usize = 100;
 
 /// Estimates the readout from the present one on, with the focal length on demand, and corrects the
-/// observations; 0 if not clearly better than a global shutter.
+/// observations; 0 if not clearly better than a global shutter. A whole film of too few frames tells none.
 pub(crate) fn estimate_rolling_shutter(state: &mut SfmState, adjust_focal: bool) {
+    if state.tracks.frames < MIN_READOUT_FRAMES {
+        return;
+    }
     state.progress.report(Stage::RollingShutter, 0, 0);
     if let Some(mut search) = ReadoutSearch::new(state, adjust_focal) {
         while search.step() {}
@@ -53,14 +56,11 @@ pub(crate) struct ReadoutSearch {
 }
 
 impl ReadoutSearch {
-    /// A search from the present readout on; `None` of too few frames.
+    /// A search from the present readout on; `None` of fewer than two frames.
     pub(crate) fn new(state: &SfmState, adjust_focal: bool) -> Option<Self> {
         let timestamps = Arc::clone(&state.timestamps);
         let interval = median_frame_interval(&timestamps)?;
         let posed = state.adjusted_frames();
-        if posed.len() < MIN_READOUT_FRAMES {
-            return None;
-        }
         let stretches: Vec<&[usize]> = if posed.len() <= SAMPLE_STRETCHES * STRETCH_FRAMES {
             vec![&posed]
         } else {
