@@ -24,6 +24,8 @@ const RERENDER_DISTANCE_PX: f64 = 0.5;
 const MAX_RENDERS: usize = 2;
 /// Largest number of steps of one minimisation; a level takes two.
 const MAX_STEPS: usize = 6;
+/// Share of the residuals that a step keeps at least: the mean cost is least where nothing of the map is seen.
+const MIN_KEPT_SHARE: f64 = 0.5;
 /// λ of the [`WhiteBalancePrior`].
 const WHITE_BALANCE_INERTIA: f32 = 1.5;
 
@@ -137,7 +139,8 @@ impl FrameAlignment<'_> {
         sums
     }
 
-    /// Up to [`MAX_STEPS`] steps; one that raises the cost is rejected and damped a hundredfold.
+    /// Up to [`MAX_STEPS`] steps; one that raises the cost, or looks away from the map, is rejected and damped
+    /// a hundredfold.
     fn levenberg_marquardt(
         &self,
         targets: &[AlignmentTarget],
@@ -165,7 +168,8 @@ impl FrameAlignment<'_> {
             let priors = self.priors(state, &here.total.equations);
             let bound = priors.cost(state, &here.total) * (1.0 + 1e-4);
             let lower = priors.cost(&next, &there.total) <= bound;
-            if !lower || there.total.equations.count == 0 {
+            let [before, after] = [&here, &there].map(|e| e.total.equations.count as f64);
+            if !lower || after == 0.0 || after < MIN_KEPT_SHARE * before {
                 damping *= 100.0;
                 if damping > 1.0 {
                     break;
