@@ -25,7 +25,8 @@ const MAX_RENDERS: usize = 2;
 /// Largest number of steps of one minimisation; a level takes two.
 const MAX_STEPS: usize = 6;
 /// Share of the residuals that a step keeps at least: the mean cost is least where nothing of the map is seen.
-const MIN_KEPT_SHARE: f64 = 0.5;
+/// On coarse levels steps that lose half of them recover.
+const MIN_KEPT_SHARE: f64 = 0.1;
 /// λ of the [`WhiteBalancePrior`].
 const WHITE_BALANCE_INERTIA: f32 = 1.5;
 
