@@ -320,7 +320,6 @@ mod tests {
         assert_eq!(rolling.posed_frames().len(), 420);
     }
 
-    /// Each would be wrong if the other were fixed at a wrong value.
     #[test]
     fn a_few_frames_tell_no_readout() {
         for (frames, found) in [(MIN_READOUT_FRAMES - 1, 0.0), (60, 0.5)] {
@@ -330,6 +329,7 @@ mod tests {
         }
     }
 
+    /// Each would be wrong if the other were fixed at a wrong value.
     #[test]
     fn readout_and_focal_length_are_found_together() {
         let mut rolling = state(60, 0.6);

@@ -170,7 +170,7 @@ impl FrameAlignment<'_> {
             let bound = priors.cost(state, &here.total) * (1.0 + 1e-4);
             let lower = priors.cost(&next, &there.total) <= bound;
             let [before, after] = [&here, &there].map(|e| e.total.equations.count as f64);
-            if !lower || after == 0.0 || after < MIN_KEPT_SHARE * before {
+            if !lower || after <= MIN_KEPT_SHARE * before {
                 damping *= 100.0;
                 if damping > 1.0 {
                     break;
