@@ -41,7 +41,6 @@ impl AdamSettings {
     #[inline(always)]
     fn advance(
         self,
-        rate: f32,
         parameters: &mut [f32],
         gradient: &[f32],
         (first, second): (&mut [f32], &mut [f32]),
@@ -50,12 +49,12 @@ impl AdamSettings {
         let count = parameters.len();
         let (gradient, first) = (&gradient[..count], &mut first[..count]);
         let (second, moves) = (&mut second[..count], &factors.moves[..count]);
-        let (correct1, correct2) = (&factors.first[..count], &factors.second[..count]);
+        let (rates, correct2) = (&factors.rates[..count], &factors.second[..count]);
         for i in 0..count {
             let g = if gradient[i].is_finite() { gradient[i] } else { 0.0 };
             let m = self.beta1 * first[i] + (1.0 - self.beta1) * g;
             let v = self.beta2 * second[i] + (1.0 - self.beta2) * g * g;
-            let step = rate * m * correct1[i] / ((v * correct2[i]).sqrt() + self.epsilon);
+            let step = rates[i] * m / ((v * correct2[i]).sqrt() + self.epsilon);
             first[i] = if moves[i] { m } else { first[i] };
             second[i] = if moves[i] { v } else { second[i] };
             parameters[i] = if moves[i] { parameters[i] - step } else { parameters[i] };
@@ -66,21 +65,28 @@ impl AdamSettings {
 /// Parameters that are stepped together.
 const BLOCK: usize = 192;
 
-/// For each parameter of a block, whether it moves and what corrects the bias of its moments.
+/// For each parameter of a block, whether it moves, its learning rate over the bias of the first moment, and
+/// what corrects that of the second.
 struct Factors {
     moves: [bool; BLOCK],
-    first: [f32; BLOCK],
+    rates: [f32; BLOCK],
     second: [f32; BLOCK],
 }
 
 impl Factors {
     #[inline(always)]
-    fn new(ages: &[u32], width: usize, corrections: &[(f32, f32)]) -> Self {
-        let mut factors = Self { moves: [false; BLOCK], first: [1.0; BLOCK], second: [1.0; BLOCK] };
+    fn new(
+        ages: &[u32],
+        width: usize,
+        corrections: &[(f32, f32)],
+        rate: impl Fn(usize) -> f32,
+    ) -> Self {
+        let mut factors = Self { moves: [false; BLOCK], rates: [0.0; BLOCK], second: [1.0; BLOCK] };
         for (element, &age) in ages.iter().enumerate().filter(|(_, age)| **age > 0) {
             let (first, second) = corrections[(age as usize).min(corrections.len() - 1)];
+            let rate = first * rate(element);
             for i in element * width..(element + 1) * width {
-                (factors.moves[i], factors.first[i], factors.second[i]) = (true, first, second);
+                (factors.moves[i], factors.rates[i], factors.second[i]) = (true, rate, second);
             }
         }
         factors
@@ -120,16 +126,17 @@ impl Adam {
     pub fn step(&mut self, parameters: &mut [f32], gradient: &[f32], rate: f32) {
         self.steps += 1;
         let ages = vec![self.steps; parameters.len()];
-        self.step_elements(parameters, gradient, rate, 1, &ages);
+        self.step_elements(parameters, gradient, |_| rate, 1, &ages);
     }
 
     /// One step of the elements, `width` (at most 192) parameters each, whose age is not zero: one
-    /// of age `n` takes its `n`-th step, as in an optimiser of its own. Others keep their state.
+    /// of age `n` takes its `n`-th step, as in an optimiser of its own, with the learning rate that
+    /// `rate` gives for its index. Others keep their state.
     pub fn step_elements(
         &mut self,
         parameters: &mut [f32],
         gradient: &[f32],
-        rate: f32,
+        rate: impl Fn(usize) -> f32 + Sync,
         width: usize,
         ages: &[u32],
     ) {
@@ -147,18 +154,24 @@ impl Adam {
             .zip(gradient.par_chunks(chunk))
             .zip(self.first.par_chunks_mut(chunk).zip(self.second.par_chunks_mut(chunk)))
             .zip(ages.par_chunks(elements))
-            .for_each(|(((parameters, gradient), (first, second)), ages)| {
-                let block = BLOCK / width.max(1) * width.max(1);
+            .enumerate()
+            .for_each(|(chunk, (((parameters, gradient), (first, second)), ages))| {
+                let block_elements = BLOCK / width.max(1);
+                let block = block_elements * width.max(1);
                 let blocks = parameters.chunks_mut(block).zip(gradient.chunks(block));
                 let moments = first.chunks_mut(block).zip(second.chunks_mut(block));
-                let ages = ages.chunks(BLOCK / width.max(1));
-                for (((parameters, gradient), moments), ages) in blocks.zip(moments).zip(ages) {
+                let ages =
+                    (chunk * elements..).step_by(block_elements).zip(ages.chunks(block_elements));
+                for (((parameters, gradient), moments), (start, ages)) in
+                    blocks.zip(moments).zip(ages)
+                {
                     if ages.iter().all(|age| *age == 0) {
                         continue;
                     }
                     arch.dispatch(|| {
-                        let factors = Factors::new(ages, width, corrections);
-                        settings.advance(rate, parameters, gradient, moments, &factors);
+                        let rate = |element| rate(start + element);
+                        let factors = Factors::new(ages, width, corrections, rate);
+                        settings.advance(parameters, gradient, moments, &factors);
                     });
                 }
             });
@@ -227,14 +240,27 @@ mod tests {
         let settings = AdamSettings::default();
         let (mut together, mut alone) = (Adam::new(settings), Adam::new(settings));
         let (mut x, mut y) = ([1.0, 2.0, 5.0, 6.0], [5.0, 6.0]);
-        together.step_elements(&mut x, &[0.3, 0.1, 9.0, 9.0], 0.1, 2, &[1, 0]);
+        together.step_elements(&mut x, &[0.3, 0.1, 9.0, 9.0], |_| 0.1, 2, &[1, 0]);
         assert_eq!(x[2..], [5.0, 6.0]);
         for (age, g) in [(1, [0.5, -0.2]), (2, [0.1, 0.4])] {
-            together.step_elements(&mut x, &[7.0, 7.0, g[0], g[1]], 0.1, 2, &[0, age]);
+            together.step_elements(&mut x, &[7.0, 7.0, g[0], g[1]], |_| 0.1, 2, &[0, age]);
             alone.step(&mut y, &g, 0.1);
         }
         assert!((x[2] - y[0]).abs() < 1e-6 && (x[3] - y[1]).abs() < 1e-6);
         assert!((x[0] - 0.9).abs() < 1e-5);
+    }
+
+    /// Over several blocks and tasks: a first step is as long as the rate of its element.
+    #[test]
+    fn every_element_has_its_own_rate() {
+        let count = 2 * CHUNK / 3 + 5;
+        let (mut x, gradient) = (vec![0.0; 3 * count], vec![0.5; 3 * count]);
+        let rate = |element: usize| element as f32;
+        let mut adam = Adam::new(AdamSettings::default());
+        adam.step_elements(&mut x, &gradient, rate, 3, &vec![1; count]);
+        for (i, x) in x.iter().enumerate() {
+            assert!((x / rate(i / 3).max(1.0) + (i / 3).min(1) as f32).abs() < 1e-5, "{i} {x}");
+        }
     }
 
     #[test]

@@ -66,7 +66,7 @@ impl Step {
             (map.log_scales.as_flattened_mut(), gradient.log_scales.as_flattened(), 3),
         ];
         for (adam, (values, gradient, width)) in self.adam.iter_mut().zip(groups) {
-            adam.step_elements(values, gradient, rate, width, &self.ages);
+            adam.step_elements(values, gradient, |_| rate, width, &self.ages);
         }
     }
 

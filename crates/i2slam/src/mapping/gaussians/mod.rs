@@ -38,7 +38,7 @@ use i2slam_radiance::Render;
 use i2slam_radiance::gaussian::{ColourActivation, GaussianMap, RasterSettings, Shape};
 use i2slam_radiance::hashgrid::SettingsError;
 use merge::merge;
-use optimizer::GaussianOptimizer;
+use optimizer::{GaussianOptimizer, StepScale, final_rate_share};
 use scale_bounds::ScaleBounds;
 use splitting::split_gaussians;
 use std::collections::{BTreeMap, BTreeSet};
@@ -91,9 +91,11 @@ impl GaussianMapper {
         }
     }
 
-    fn step(&mut self, context: &mut MappingContext<'_>, keyframe: &Keyframe) {
+    /// One step on a keyframe, with that share of the learning rates.
+    fn step(&mut self, context: &mut MappingContext<'_>, keyframe: &Keyframe, share: f32) {
         let observation = keyframe.observation.get();
-        self.optimizer.step(context, &mut self.current, (keyframe, &observation));
+        let scale = StepScale { bounds: &self.scale_bounds, share };
+        self.optimizer.step(context, &mut self.current, (keyframe, &observation), scale);
         self.scale_bounds.clamp(&mut self.current.map);
     }
 
@@ -363,7 +365,7 @@ impl Mapper for GaussianMapper {
                 break;
             }
             let chosen = &window[context.random.below(window.len())];
-            self.step(context, chosen);
+            self.step(context, chosen, 1.0);
             if fresh && (iteration == 0 || iteration == PRUNE_ITERATION) {
                 self.prune();
             }
@@ -413,7 +415,11 @@ impl Mapper for GaussianMapper {
             }
             let Some(next) = order.pop() else { break };
             let keyframe = context.keyframes[next].clone();
-            self.step(context, &keyframe);
+            let share = match self.current.map.shape {
+                Shape::Isotropic => 1.0,
+                Shape::Anisotropic => final_rate_share(step, total),
+            };
+            self.step(context, &keyframe, share);
             continues = on_step(context.taken((step + 1, total), &|| self.map()));
             if !continues {
                 break;

@@ -1,5 +1,6 @@
 //! Gradient steps on Gaussians together with tone, response and keyframe poses.
 
+use super::scale_bounds::ScaleBounds;
 use crate::config::Config;
 use crate::mapping::context::MappingContext;
 use crate::mapping::frame_optimizer::{FrameOptimizers, adam};
@@ -22,6 +23,23 @@ const VIEW_COLOUR_RATE: f32 = 0.5;
 const CHANNEL_DECAY: f32 = 0.1;
 /// Learning rate of opacity logits (SplaTAM).
 const OPACITY_RATE: f32 = 0.05;
+/// Learning rate of the means of flat Gaussians, in pixels of the nearest keyframe that saw them.
+const FLAT_MEAN_RATE: f32 = 0.06;
+
+/// Scale of the learning rates of a step.
+#[derive(Clone, Copy)]
+pub(super) struct StepScale<'a> {
+    /// Widths of a pixel where flat Gaussians are.
+    pub(super) bounds: &'a ScaleBounds,
+    /// Factor of all rates of the map.
+    pub(super) share: f32,
+}
+
+/// Share of the learning rates at one of a number of final steps: in the last third, when Gaussians are no
+/// longer split, it falls to a tenth, for Adam goes on moving by the rate where gradients are noise.
+pub(super) fn final_rate_share(step: usize, total: usize) -> f32 {
+    0.1_f32.powf((3.0 * step as f32 / total as f32 - 2.0).max(0.0))
+}
 
 /// Optimiser state of map, response and keyframes.
 pub(crate) struct GaussianOptimizer {
@@ -100,9 +118,10 @@ impl GaussianOptimizer {
         context: &mut MappingContext<'_>,
         target: &mut ComparedMap<GaussianMap>,
         (keyframe, observation): (&Keyframe, &Observation),
+        scale: StepScale<'_>,
     ) {
         let mut evaluation = self.evaluate(context, target, (keyframe, observation));
-        self.step_map(context.config, &mut target.map);
+        self.step_map(context.config, &mut target.map, scale);
         let gauge_frame = context.gauge_frame(keyframe);
         self.frames.step(context, keyframe, gauge_frame, &mut evaluation);
     }
@@ -156,15 +175,23 @@ impl GaussianOptimizer {
         )
     }
 
-    fn step_map(&mut self, config: &Config, map: &mut GaussianMap) {
+    fn step_map(&mut self, config: &Config, map: &mut GaussianMap, scale: StepScale<'_>) {
         let (rates, gradient) = (&config.parameters.gaussians, &self.gradient);
+        let StepScale { bounds, share } = scale;
         let all = !rates.selective_adam;
         let step_counts = self.step_counts.advance(map.len(), |i| all || has_gradient(gradient, i));
         if step_counts.is_empty() {
             return;
         }
+        let mean_rate = |i| bounds.pixel_width(i).map_or(rates.mean_rate, |px| FLAT_MEAN_RATE * px);
+        self.means.step_elements(
+            map.means.as_flattened_mut(),
+            gradient.means.as_flattened(),
+            |i| share * mean_rate(i),
+            3,
+            step_counts,
+        );
         let groups = [
-            (&mut self.means, map.means.as_flattened_mut(), gradient.means.as_flattened()),
             (&mut self.colours, map.colours.as_flattened_mut(), gradient.colours.as_flattened()),
             (&mut self.opacities, map.opacity_logits.as_mut_slice(), &gradient.opacity_logits[..]),
             (
@@ -173,12 +200,12 @@ impl GaussianOptimizer {
                 gradient.log_scales.as_flattened(),
             ),
         ];
-        let steps = [rates.mean_rate, rates.colour_rate, OPACITY_RATE, rates.scale_rate];
+        let steps = [rates.colour_rate, OPACITY_RATE, rates.scale_rate];
         for ((adam, values, gradient), rate) in groups.into_iter().zip(steps) {
             adam.step_elements(
                 values,
                 gradient,
-                rate,
+                |_| share * rate,
                 values.len() / step_counts.len(),
                 step_counts,
             );
@@ -188,12 +215,12 @@ impl GaussianOptimizer {
             Shape::Anisotropic => self.rotations.step_elements(
                 map.rotations.as_flattened_mut(),
                 gradient.rotations.as_flattened(),
-                rates.rotation_rate,
+                |_| share * rates.rotation_rate,
                 4,
                 step_counts,
             ),
         }
-        self.step_view_colours(VIEW_COLOUR_RATE * rates.colour_rate, map);
+        self.step_view_colours(share * VIEW_COLOUR_RATE * rates.colour_rate, map);
     }
 
     /// Steps the coefficients of view colours that are seen.
@@ -204,7 +231,7 @@ impl GaussianOptimizer {
         adam.step_elements(
             map.view_colours.coefficients_mut().as_flattened_mut(),
             gradient,
-            rate,
+            |_| rate,
             3,
             step_counts,
         );
@@ -280,6 +307,42 @@ mod tests {
         gradient.colours[1][2] = 0.0;
         gradient.opacity_logits[0] = -1.0;
         assert_eq!(step_counts.advance(2, |i| has_gradient(&gradient, i)), [3, 0]);
+    }
+
+    /// The first step of Adam is as long as the rate: in pixels of flat Gaussians, a length of balls.
+    #[test]
+    fn means_of_flat_gaussians_step_by_pixels() {
+        let mut map = GaussianMap::new(Shape::Anisotropic, ColourActivation::Exponential);
+        (0..3).for_each(|_| {
+            map.push(Gaussian {
+                mean: [0.0; 3],
+                log_scale: [-4.0; 3],
+                rotation: [1.0, 0.0, 0.0, 0.0],
+                opacity_logit: 0.0,
+                colour: [0.0; 3],
+            })
+        });
+        let config = Config::default();
+        let mut bounds = ScaleBounds::default();
+        [0.01, 3.0].iter().for_each(|pixel| bounds.push(*pixel, [-4.0; 3]));
+        let mut optimizer = GaussianOptimizer::new();
+        optimizer.gradient = MapGradient::new(&map);
+        optimizer.gradient.means.fill([2.0, 0.0, -1.0]);
+        optimizer.step_map(&config, &mut map, StepScale { bounds: &bounds, share: 0.5 });
+        let rates =
+            [FLAT_MEAN_RATE * 0.01, FLAT_MEAN_RATE * 3.0, config.parameters.gaussians.mean_rate];
+        for (mean, rate) in map.means.iter().zip(rates) {
+            let due = [-0.5 * rate, 0.0, 0.5 * rate];
+            let is_near = |(a, b): (&f32, f32)| (a - b).abs() < 1e-4 * rate;
+            assert!(mean.iter().zip(due).all(is_near), "{mean:?} {due:?}");
+        }
+    }
+
+    #[test]
+    fn rates_fall_to_a_tenth_in_the_last_third_of_the_final_steps() {
+        let shares = [0, 100, 200, 250, 300].map(|step| final_rate_share(step, 300));
+        assert_eq!(shares[..3], [1.0; 3]);
+        assert!((shares[3] - 0.1_f32.sqrt()).abs() < 1e-6 && (shares[4] - 0.1).abs() < 1e-6);
     }
 
     /// Differences between channels decay where a view colour is seen, their mean stays.

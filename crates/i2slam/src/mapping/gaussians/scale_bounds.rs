@@ -36,6 +36,11 @@ impl ScaleBounds {
         *least = least.min((MIN_DEVIATION * pixel).ln());
     }
 
+    /// Width of a pixel of the nearest keyframe that saw the Gaussian [m]; none of balls.
+    pub(super) fn pixel_width(&self, index: usize) -> Option<f32> {
+        Some(self.0.get(index)?.least.exp() / MIN_DEVIATION)
+    }
+
     /// A standard deviation in pixels of the nearest keyframe that saw the Gaussian.
     pub(super) fn in_pixels(&self, index: usize, log_scale: f32) -> f32 {
         MIN_DEVIATION * (log_scale - self.0[index].least).exp()
@@ -94,6 +99,7 @@ mod tests {
         // From farther away nothing changes, from nearer the least falls.
         bounds.see(0, 0.05);
         bounds.see(0, 0.01);
+        assert!((bounds.pixel_width(0).unwrap() - 0.01).abs() < 1e-6);
         assert!(close(clamped(&bounds, 1e-4), [0.003; 3]));
         bounds.split(0, 0, 0.5);
         assert!(close(clamped(&bounds, 1.0), [0.03, 0.03, 0.006]));

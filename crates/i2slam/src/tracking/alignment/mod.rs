@@ -31,7 +31,8 @@ use std::sync::Arc;
 
 /// Levels of the image pyramids.
 const LEVELS: usize = 3;
-/// Least share of the frame's depth that must lie on the map's surface.
+/// Least share of the frame's depth that must lie on the map's surface; of estimated depth, which may be that of
+/// the map, the least share of what can lie there where the map has holes.
 const MIN_OVERLAP: f64 = 0.3;
 /// Least share of the overlap that another start must keep to be preferred: a pose that sees
 /// nothing has no loss.
@@ -165,7 +166,7 @@ impl FrameAlignment<'_> {
     ) -> AlignmentOutcome {
         let end = self.coarse_to_fine(objective, map, start);
         let is_known = self.has_measured_motion() || self.exposure_motion().is_some();
-        if is_known || end.sums.overlap() < MIN_OVERLAP {
+        if is_known || !self.sees_map(&end) {
             return end;
         }
         let Some(blurred) = self.with_initial_blur(objective, map, &end.state) else { return end };
@@ -186,7 +187,20 @@ impl FrameAlignment<'_> {
             false => self.ratio_to_usual(&losses, |losses| losses.depth),
         };
         let loss_ratio = self.ratio_to_usual(&losses, |losses| losses.image) * depth_ratio;
-        end.sums.overlap() >= MIN_OVERLAP && loss_ratio < MAX_LOSS_RATIO
+        self.sees_map(end) && loss_ratio < MAX_LOSS_RATIO
+    }
+
+    /// Whether enough of the frame's depth lies on the map.
+    fn sees_map(&self, end: &AlignmentOutcome) -> bool {
+        let attainable = match self.observation.is_estimated() {
+            true => {
+                let surface = end.targets[0].levels[0].surface_pixels();
+                (surface as f64 / self.observation.valid_depths().max(1) as f64).min(1.0)
+            }
+            false => 1.0,
+        };
+        let overlap = end.sums.overlap();
+        overlap >= MIN_DEPTH_COVERAGE && overlap >= MIN_OVERLAP * attainable
     }
 
     /// A loss over its median in the last tracked frames; 1 where these are too few. The first

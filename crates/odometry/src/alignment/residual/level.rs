@@ -85,6 +85,14 @@ impl TargetLevel {
             depth,
         }
     }
+
+    /// Pixels that lie on one surface with those to the right and below: where points can be compared with
+    /// the target's depth.
+    pub fn surface_pixels(&self) -> usize {
+        let last_column = self.surface.width.saturating_sub(1);
+        let rows = self.surface.roughness.chunks(self.surface.width.max(1));
+        rows.flat_map(|row| row.iter().take(last_column)).filter(|r| **r >= 0.0).count()
+    }
 }
 
 impl FrameLevel {
@@ -379,6 +387,20 @@ impl PackedColour {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn holes_and_edges_are_no_surface() {
+        let surface = |depth| TargetLevel::new(Image::default(), depth).surface_pixels();
+        let depth = |column, row| match (column, row) {
+            (2, 1) => 0.0,
+            (6.., _) => 2.0,
+            _ => 1.0,
+        };
+        let wall = Image::from_fn(9, 5, 1, |_, _, _| 1.0);
+        let with_hole_and_edge = Image::from_fn(9, 5, 1, |_, column, row| depth(column, row));
+        assert_eq!(surface(wall), 8 * 4);
+        assert_eq!(surface(with_hole_and_edge), 8 * 4 - 4 - 4);
+    }
 
     #[test]
     fn depth_noise_is_separated_from_edges_and_slopes() {
