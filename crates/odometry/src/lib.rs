@@ -138,6 +138,7 @@ mod diagnosis {
 }
 
 mod front_end;
+mod keyframe_density;
 mod pose_deviation;
 mod result;
 

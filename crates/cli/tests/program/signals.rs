@@ -97,7 +97,7 @@ fn ctrl_c_keeps_the_path_and_the_earlier_result() {
     let interrupted = || {
         let mut command = footage.command("run", &video, &slow);
         let mut running = Running::start(command.current_dir(footage.scratch.join("")));
-        running.until("keyframes");
+        running.until("mapping frames");
         running.interrupted().exits_with(130)
     };
     for name in ["out-partial", "out-partial-2"] {

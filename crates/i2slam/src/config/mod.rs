@@ -26,6 +26,8 @@ use std::path::PathBuf;
 
 /// Most steps after the last frame for each keyframe: the others gain 0.03 to 0.2 dB.
 const FINAL_STEPS_PER_KEYFRAME: usize = 25;
+/// Fewest of them for each keyframe where frames between keyframes become keyframes, too.
+const MIN_FINAL_STEPS_PER_KEYFRAME: usize = 5;
 
 /// Declares a section of settings. The doc comments of its keys are the help in printed presets.
 macro_rules! section {
@@ -321,6 +323,18 @@ pub enum TrackingMethod {
     Adam,
     /// Gauss-Newton on the re-projected model image, then Adam.
     SecondOrder,
+}
+
+impl Config {
+    /// Keyframes that Gaussians are fitted to in a film of so many frames whose path has `keyframes`: more
+    /// than it needs, for each shows the surface once more, at other places within its pixels and by
+    /// another exposure. The paper's presets have none of their own.
+    pub(crate) fn fitted_keyframes(&self, keyframes: usize, frames: usize) -> usize {
+        if self.map.kind != MapKind::Gaussian || self.tracking.method == TrackingMethod::Adam {
+            return keyframes;
+        }
+        keyframes.max(frames.min(self.mapping.final_iterations / MIN_FINAL_STEPS_PER_KEYFRAME))
+    }
 }
 
 impl MappingConfig {

@@ -136,6 +136,22 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
         }
     }
 
+    /// Delivers frames of a film between keyframes as keyframes, too, until there are `most`, but none
+    /// whose position `is_held_out`.
+    #[must_use]
+    pub(crate) fn with_keyframes_between(
+        mut self,
+        most: usize,
+        is_held_out: impl Fn(usize) -> bool,
+    ) -> Self {
+        let positions = &self.positions;
+        let is_held_out = |frame: usize| positions.get(frame).is_none_or(|at| is_held_out(*at));
+        self.reconstruction = self.reconstruction.with_keyframes_between(most, is_held_out);
+        self.reader.positions = keyframe_positions(&self.reconstruction, &self.positions);
+        self.coming = (0..self.reconstruction.keyframes.len()).collect();
+        self
+    }
+
     /// Moves the path as a whole as near as possible to given poses by position, in their unit of length, with
     /// measured depth in metres. `None` where fewer than [`MIN_POSED_SHARE`] of them are found.
     pub(crate) fn near(mut self, given: &[Pose<f64>]) -> Option<Self> {

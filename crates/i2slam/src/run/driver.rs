@@ -32,7 +32,7 @@ pub(super) struct Input<'a> {
     pub(super) items: Box<dyn Iterator<Item = Result<Item, PictureError>> + 'a>,
     /// Number of items.
     pub(super) count: usize,
-    /// Those of them that are keyframes, whose mapping steps frames between them share.
+    /// Keyframes of the path, whose mapping steps all items share.
     pub(super) keyframes: usize,
     /// Kind of the items.
     pub(super) kind: &'static ItemKind,

@@ -149,7 +149,8 @@ impl Forecaster {
             return None;
         }
         let elapsed = self.started.elapsed().as_secs_f64() - self.measuring;
-        let keyframes = (keyframes * frames).div_ceil(done);
+        let path_keyframes = (keyframes * frames).div_ceil(done);
+        let keyframes = self.config.fitted_keyframes(path_keyframes, frames);
         let pace = match self.pace {
             Some(pace) => pace,
             None => {
@@ -161,7 +162,7 @@ impl Forecaster {
         };
         let maps_between = self.has_depth && self.config.map.kind == MapKind::Gaussian;
         let mapped = if maps_between { frames } else { keyframes };
-        let mapping = pace.mapping(&self.config, keyframes, mapped);
+        let mapping = pace.mapping(&self.config, (path_keyframes, keyframes), mapped);
         let path = path_seconds(elapsed - preview, (done, frames), self.has_depth);
         let preview = preview * frames as f64 / done as f64;
         let after = mapping + pace.finish(&self.config, keyframes, frames);
@@ -209,7 +210,7 @@ impl Forecaster {
     /// Time of so many photographs with a pose, from dense depth to the end [s].
     fn mapping_of_photographs(&self, pace: &RuntimeEstimate, count: usize) -> f64 {
         let dense = pace.dense_depth * count as f64;
-        let mapping = pace.mapping(&self.config, count, count) - dense;
+        let mapping = pace.mapping(&self.config, (count, count), count) - dense;
         let finish = pace.finish(&self.config, count, count);
         let [over_dense, over_mapping, over_finish] = PHOTOGRAPH_PARTS;
         over_dense * dense + over_mapping * mapping + over_finish * finish

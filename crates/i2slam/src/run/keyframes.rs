@@ -89,6 +89,11 @@ pub(super) fn from_odometry(
         }
         None => find_path(sequence, (estimate_distortion, None), options, context)?,
     };
+    let keyframes = source.reconstruction().keyframes.len();
+    let source = match &mapped {
+        Some(_) => source,
+        None => with_fitted_keyframes(source, sequence, options),
+    };
     let found = source.with_pictures(size, |place| picture(sequence, place));
     let camera = CameraEstimate::new(sequence, found.reconstruction());
     context.observer.camera(&camera);
@@ -125,7 +130,7 @@ pub(super) fn from_odometry(
         Some(mapped) => source.without_frames(&mapped.current),
         None => source,
     };
-    let (count, keyframes) = (source.remaining(), source.reconstruction().keyframes.len());
+    let count = source.remaining();
     let source = match options.config.formation.blur && !is_paper {
         true => source.with_photograph_motions(&context.cancellation),
         false => source,
@@ -197,6 +202,22 @@ fn find_path(
         }
         Err(error) => Err(RunError::NoPath(error)),
     }
+}
+
+/// With the keyframes that Gaussians are [fitted to](crate::Config::fitted_keyframes).
+fn with_fitted_keyframes<L>(
+    source: MonocularSource<L>,
+    sequence: &Sequence,
+    options: &RunOptions,
+) -> MonocularSource<L>
+where
+    L: FnMut(usize) -> Result<Frame, PictureError>,
+{
+    let found = source.reconstruction();
+    let most = options.config.fitted_keyframes(found.keyframes.len(), found.poses.len());
+    let held_out = avoided_keyframes(options, Some(sequence));
+    let index = |place: usize| sequence.entries.get(place).map_or(place, |entry| entry.index);
+    source.with_keyframes_between(most, |place| held_out.is_held_out(index(place)))
 }
 
 /// Frames that the front end avoids as keyframes: those held out, of a sequence or a stream; none where

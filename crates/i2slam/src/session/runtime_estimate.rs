@@ -68,11 +68,17 @@ impl RuntimeEstimate {
         Some(Self { dense_depth: dense_depth(camera, colour, is_unordered), keyframe, step, frame })
     }
 
-    /// Time of mapping `frames` frames whose poses are known, of which `keyframes` are keyframes [s].
-    pub fn mapping(&self, config: &Config, keyframes: usize, frames: usize) -> f64 {
-        let (per_keyframe, _) = steps(config, keyframes);
-        let each = self.dense_depth + per_keyframe * self.step;
-        keyframes as f64 * each + frames as f64 * self.keyframe
+    /// Time of mapping `frames` frames whose poses are known, of which `keyframes` are keyframes, with the
+    /// steps of those of the path [s].
+    pub fn mapping(
+        &self,
+        config: &Config,
+        (path_keyframes, keyframes): (usize, usize),
+        frames: usize,
+    ) -> f64 {
+        let (per_keyframe, _) = steps(config, path_keyframes);
+        let stepping = path_keyframes as f64 * per_keyframe * self.step;
+        stepping + keyframes as f64 * self.dense_depth + frames as f64 * self.keyframe
     }
 
     /// Time after `keyframes` keyframes among `frames` frames were mapped [s].
@@ -181,7 +187,7 @@ mod tests {
         (gaussians.mapping.iterations, gaussians.mapping.final_iterations) = (10, 100);
         let estimate = RuntimeEstimate { dense_depth: 1.0, keyframe: 0.5, step: 0.02, frame: 0.1 };
         // 5 (1 + 1.6 · 10 · 0.02) + 8 · 0.5, and 3 · 100 · 0.02 + (2 · 5 + 45) 0.1
-        assert!((estimate.mapping(&gaussians, 5, 8) - 10.6).abs() < 1e-9);
+        assert!((estimate.mapping(&gaussians, (5, 5), 8) - 10.6).abs() < 1e-9);
         assert!((estimate.finish(&gaussians, 5, 50) - 11.5).abs() < 1e-9);
         let picture = frame(0, Pose::identity()).colour;
         for config in [config, gaussians] {

@@ -31,7 +31,7 @@ pub(crate) const KEYFRAME_DUE_MOTION: f32 = 0.03;
 pub(crate) const KEYFRAME_DUE_OVERLAP: f32 = 0.7;
 /// ... or after so many frames in which points have moved by this ratio of the width.
 pub(crate) const KEYFRAME_INTERVAL: usize = 8;
-const MIN_KEYFRAME_MOTION: f32 = 0.006;
+pub(crate) const MIN_KEYFRAME_MOTION: f32 = 0.006;
 /// Frames before a keyframe through which its new points are tracked backward.
 pub(crate) const BACKWARD_FRAMES: usize = 16;
 /// A keyframe waits for a frame of this ratio of the median sharpness that is not held out, for so many
