@@ -291,6 +291,17 @@ mod tests {
     }
 
     #[test]
+    fn gaussians_are_fitted_to_as_many_keyframes_as_steps_allow() {
+        let config = Config::default();
+        let fitted = |keyframes, frames| config.fitted_keyframes(keyframes, frames);
+        assert_eq!([fitted(17, 66), fitted(60, 500), fitted(120, 500)], [66, 80, 120]);
+        let mut field = Config::default();
+        field.map.kind = MapKind::HashGrid;
+        let paper = Config::preset("paper-scannet").expect("known");
+        assert_eq!([&field, &paper].map(|config| config.fitted_keyframes(17, 66)), [17; 2]);
+    }
+
+    #[test]
     fn an_unknown_name_lists_the_known_ones() {
         let message = Config::preset("fast").expect_err("unknown").to_string();
         assert!(message.contains("fast") && message.contains("paper-scannet"));
