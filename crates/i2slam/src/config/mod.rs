@@ -237,7 +237,7 @@ section! {
         /// Adam steps of the round that starts the map.
         first_iterations: usize,
         /// Steps after the last frame, over all keyframes, fewer of few keyframes: at most 25 of each.
-        /// SplaTAM: none.
+        /// Frames of a film are keyframes of the map, too, as long as each gets 5. SplaTAM: none.
         final_iterations: usize,
         /// Hold out every n-th frame, of imported keyframes every n-th of these: tracked, but never mapped,
         /// for `eval --protocol held-out`. At least 2; 0 holds none out.

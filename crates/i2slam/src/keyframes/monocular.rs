@@ -137,7 +137,7 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
     }
 
     /// Delivers frames of a film between keyframes as keyframes, too, until there are `most`, but none
-    /// whose position `is_held_out`.
+    /// whose position `is_held_out`. To be called before dense depth or frames between are asked for.
     #[must_use]
     pub(crate) fn with_keyframes_between(
         mut self,
