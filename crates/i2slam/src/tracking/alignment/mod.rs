@@ -35,7 +35,7 @@ const LEVELS: usize = 3;
 /// least share of what can lie there where the map has holes, ...
 const MIN_OVERLAP: f64 = 0.3;
 /// ... and the least share of all of it.
-const MIN_HOLED_OVERLAP: f64 = 0.1;
+const MIN_HOLED_OVERLAP: f64 = 0.05;
 /// Least share of the overlap that another start must keep to be preferred: a pose that sees
 /// nothing has no loss.
 const MIN_OVERLAP_RATIO: f64 = 0.9;
