@@ -5,8 +5,8 @@ use crate::track::tracker::MIN_KEYFRAME_MOTION;
 use i2slam_geometry::{Camera, Pose};
 
 impl Reconstruction {
-    /// Makes posed frames of a film keyframes, too, with the landmarks of the nearest keyframe so far, until there
-    /// are `most`: each time that in the middle of the two neighbours between which the picture moves most, but no
+    /// Makes posed frames of a film keyframes, too, with the landmarks of those around them, until there are
+    /// `most`: each time that in the middle of the two neighbours between which the picture moves most, but no
     /// frame that `is_held_out`.
     #[must_use]
     pub fn with_keyframes_between(
@@ -15,7 +15,6 @@ impl Reconstruction {
         is_held_out: impl Fn(usize) -> bool,
     ) -> Self {
         let Some(depth) = self.median_depth().filter(|_| !self.is_unordered) else { return self };
-        let path = self.keyframes.clone();
         let least = f64::from(MIN_KEYFRAME_MOTION) * self.camera.width as f64;
         let usable: Vec<bool> = (0..self.poses.len())
             .map(|frame| self.poses[frame].is_some() && !is_held_out(frame))
@@ -31,10 +30,7 @@ impl Reconstruction {
             let open = widest.filter_map(|(place, gap)| Some((place, gap.frame?, gap.motion)));
             let Some((place, frame, _)) = open.max_by(|a, b| a.2.total_cmp(&b.2)) else { break };
             let around = [&self.keyframes[place], &self.keyframes[place + 1]];
-            let nearest = path.iter().min_by_key(|keyframe| keyframe.index.abs_diff(frame));
-            let Some(between) = nearest.and_then(|near| keyframe_at(&self, frame, near)) else {
-                break;
-            };
+            let Some(between) = keyframe_between(&self, frame, around) else { break };
             let halves = [[around[0], &between], [&between, around[1]]].map(gap);
             gaps.splice(place..=place, halves);
             self.keyframes.insert(place + 1, between);
@@ -64,22 +60,30 @@ fn picture_motion(camera: &Camera<f64>, depth: f64, [from, to]: [Pose<f64>; 2]) 
     camera.fx * (length(&motion[..3]) / depth + length(&motion[3..]))
 }
 
-/// A posed frame as a keyframe, with the landmarks of another one that it sees.
-fn keyframe_at(found: &Reconstruction, frame: usize, near: &Keyframe) -> Option<Keyframe> {
-    let (world_from_camera, camera) = (found.poses[frame]?, &found.camera);
-    let relative = world_from_camera.inverse() * near.world_from_camera;
-    let seen = |landmark: &SparseDepth| {
-        let [u, v] = landmark.at;
-        let point = relative * camera.unproject(u, v, landmark.depth);
-        let (u, v) = (point.z > 0.0).then(|| camera.project(point))?;
-        let is_inside = camera.contains(u, v, 0.0);
-        is_inside.then_some(SparseDepth { at: [u, v], depth: point.z, ..*landmark })
+/// A frame as a keyframe, with the landmarks of two others that it sees.
+fn keyframe_between(
+    found: &Reconstruction,
+    frame: usize,
+    around: [&Keyframe; 2],
+) -> Option<Keyframe> {
+    let world_from_camera = found.poses[frame]?;
+    let seen = |keyframe: &Keyframe| {
+        let relative = world_from_camera.inverse() * keyframe.world_from_camera;
+        let camera = &found.camera;
+        let project = move |landmark: &SparseDepth| {
+            let [u, v] = landmark.at;
+            let point = relative * camera.unproject(u, v, landmark.depth);
+            let (u, v) = (point.z > 0.0).then(|| camera.project(point))?;
+            let is_inside = camera.contains(u, v, 0.0);
+            is_inside.then_some(SparseDepth { at: [u, v], depth: point.z, ..*landmark })
+        };
+        keyframe.depths.iter().filter_map(project).collect::<Vec<SparseDepth>>()
     };
     Some(Keyframe {
         index: frame,
         timestamp: found.timestamps[frame],
         world_from_camera,
-        depths: near.depths.iter().filter_map(seen).collect(),
+        depths: around.map(seen).concat(),
     })
 }
 
@@ -152,10 +156,10 @@ mod tests {
     }
 
     #[test]
-    fn landmarks_are_where_the_frame_sees_them() {
+    fn landmarks_of_both_neighbours_are_where_the_frame_sees_them() {
         let found = path(0.05).with_keyframes_between(3, |_| false);
-        let [first, between, _] = &found.keyframes[..] else { panic!("{found:?}") };
-        assert!(2 * between.depths.len() > first.depths.len());
+        let [first, between, last] = &found.keyframes[..] else { panic!("{found:?}") };
+        assert!(between.depths.len() > first.depths.len().max(last.depths.len()));
         for landmark in &between.depths {
             let [u, v] = landmark.at;
             let point = between.world_from_camera * CAMERA.unproject(u, v, landmark.depth);

@@ -31,11 +31,9 @@ use std::sync::Arc;
 
 /// Levels of the image pyramids.
 const LEVELS: usize = 3;
-/// Least share of the frame's depth that must lie on the map's surface; of depth that is the map's own, the
-/// least share of what can lie there where the map has holes, ...
+/// Least share of the frame's depth that must lie on the map's surface; of estimated depth, which may be that of
+/// the map, the least share of what can lie there where the map has holes.
 const MIN_OVERLAP: f64 = 0.3;
-/// ... and the least share of all of it.
-const MIN_HOLED_OVERLAP: f64 = 0.05;
 /// Least share of the overlap that another start must keep to be preferred: a pose that sees
 /// nothing has no loss.
 const MIN_OVERLAP_RATIO: f64 = 0.9;
@@ -192,17 +190,17 @@ impl FrameAlignment<'_> {
         self.sees_map(end) && loss_ratio < MAX_LOSS_RATIO
     }
 
-    /// Whether enough of the frame's depth lies on the map. A frame that is expected in it has its depth.
+    /// Whether enough of the frame's depth lies on the map.
     fn sees_map(&self, end: &AlignmentOutcome) -> bool {
-        let least = match self.context.expected {
-            Some(_) => {
+        let attainable = match self.observation.is_estimated() {
+            true => {
                 let surface = end.targets[0].levels[0].surface_pixels();
-                let depths = self.observation.valid_depths().max(surface).max(1);
-                (MIN_OVERLAP * surface as f64 / depths as f64).max(MIN_HOLED_OVERLAP)
+                (surface as f64 / self.observation.valid_depths().max(1) as f64).min(1.0)
             }
-            None => MIN_OVERLAP,
+            false => 1.0,
         };
-        end.sums.overlap() >= least
+        let overlap = end.sums.overlap();
+        overlap >= MIN_DEPTH_COVERAGE && overlap >= MIN_OVERLAP * attainable
     }
 
     /// A loss over its median in the last tracked frames; 1 where these are too few. The first
