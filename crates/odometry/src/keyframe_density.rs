@@ -53,7 +53,7 @@ fn middle_frame(usable: &[bool], [first, last]: [usize; 2]) -> Option<usize> {
     between.min_by_key(|frame| (2 * frame).abs_diff(first + last))
 }
 
-/// How far the picture moves from one pose to another, at a depth \[px\].
+/// Motion of the picture from one pose to another, at a depth \[px\].
 fn picture_motion(camera: &Camera<f64>, depth: f64, [from, to]: [Pose<f64>; 2]) -> f64 {
     let motion = from.local(to).to_array();
     let length = |part: &[f64]| part.iter().map(|x| x * x).sum::<f64>().sqrt();

@@ -190,7 +190,7 @@ impl FrameAlignment<'_> {
         self.sees_map(end) && loss_ratio < MAX_LOSS_RATIO
     }
 
-    /// Whether enough of the frame's depth lies on the map.
+    /// Overlap test: true if the frame's depth lies on the map's surface, as far as the map has one.
     fn sees_map(&self, end: &AlignmentOutcome) -> bool {
         let attainable = match self.observation.is_estimated() {
             true => {
