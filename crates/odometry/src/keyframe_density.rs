@@ -3,54 +3,76 @@
 use crate::result::{Keyframe, Reconstruction, SparseDepth};
 use crate::track::tracker::MIN_KEYFRAME_MOTION;
 use i2slam_geometry::{Camera, Pose};
+use std::collections::BTreeSet;
 
 impl Reconstruction {
-    /// Makes posed frames of a film keyframes, too, with the landmarks of those around them, until there are
-    /// `most`: each time that in the middle of the two neighbours between which the picture moves most, but no
-    /// frame that `is_held_out`.
-    #[must_use]
-    pub fn with_keyframes_between(
-        mut self,
+    /// Posed frames of a film that would, together with its keyframes, be `most`: each time that in the
+    /// middle of the two neighbours between which the picture moves most, but no frame that `is_held_out`.
+    pub fn frames_between_keyframes(
+        &self,
         most: usize,
         is_held_out: impl Fn(usize) -> bool,
-    ) -> Self {
-        let Some(depth) = self.median_depth().filter(|_| !self.is_unordered) else { return self };
+    ) -> BTreeSet<usize> {
+        let mut chosen = BTreeSet::new();
+        let Some(depth) = self.median_depth().filter(|_| !self.is_unordered) else { return chosen };
         let least = f64::from(MIN_KEYFRAME_MOTION) * self.camera.width as f64;
-        let usable: Vec<bool> = (0..self.poses.len())
-            .map(|frame| self.poses[frame].is_some() && !is_held_out(frame))
-            .collect();
-        let gap = |pair: [&Keyframe; 2]| Gap {
-            frame: middle_frame(&usable, pair.map(|keyframe| keyframe.index)),
-            motion: picture_motion(&self.camera, depth, pair.map(|k| k.world_from_camera)),
+        let gap = |[first, last]: [usize; 2]| {
+            let usable = |frame: &usize| self.poses[*frame].is_some() && !is_held_out(*frame);
+            let between = (first + 1..last).filter(usable);
+            let middle = between.min_by_key(|frame| (2 * frame).abs_diff(first + last))?;
+            let motion =
+                picture_motion(&self.camera, depth, [self.poses[first]?, self.poses[last]?]);
+            (motion >= least).then_some(Gap { frames: [first, middle, last], motion })
         };
-        let mut gaps: Vec<Gap> =
-            self.keyframes.windows(2).map(|pair| gap([&pair[0], &pair[1]])).collect();
-        while self.keyframes.len() < most {
-            let widest = gaps.iter().enumerate().filter(|(_, gap)| gap.motion >= least);
-            let open = widest.filter_map(|(place, gap)| Some((place, gap.frame?, gap.motion)));
-            let Some((place, frame, _)) = open.max_by(|a, b| a.2.total_cmp(&b.2)) else { break };
-            let around = [&self.keyframes[place], &self.keyframes[place + 1]];
-            let Some(between) = keyframe_between(&self, frame, around) else { break };
-            let halves = [[around[0], &between], [&between, around[1]]].map(gap);
-            gaps.splice(place..=place, halves);
-            self.keyframes.insert(place + 1, between);
+        let pairs = self.keyframes.windows(2).map(|pair| [pair[0].index, pair[1].index]);
+        let mut gaps: Vec<Gap> = pairs.filter_map(gap).collect();
+        while self.keyframes.len() + chosen.len() < most {
+            let widest = gaps.iter().enumerate().max_by(|a, b| a.1.motion.total_cmp(&b.1.motion));
+            let Some((place, _)) = widest else { break };
+            let [first, middle, last] = gaps.remove(place).frames;
+            chosen.insert(middle);
+            gaps.extend([[first, middle], [middle, last]].into_iter().filter_map(gap));
         }
+        chosen
+    }
+
+    /// Makes posed frames keyframes, too, with those landmarks of the nearest keyframe that they see.
+    #[must_use]
+    pub fn with_keyframes(mut self, frames: &BTreeSet<usize>) -> Self {
+        let more: Vec<Keyframe> =
+            frames.iter().filter_map(|frame| self.frame_as_keyframe(*frame)).collect();
+        self.keyframes.extend(more);
+        self.keyframes.sort_by_key(|keyframe| keyframe.index);
         self
+    }
+
+    fn frame_as_keyframe(&self, frame: usize) -> Option<Keyframe> {
+        let nearest = self.keyframes.iter().min_by_key(|k| k.index.abs_diff(frame))?;
+        let world_from_camera = self.poses[frame]?;
+        let relative = world_from_camera.inverse() * nearest.world_from_camera;
+        let camera = &self.camera;
+        let seen = |landmark: &SparseDepth| {
+            let [u, v] = landmark.at;
+            let point = relative * camera.unproject(u, v, landmark.depth);
+            let (u, v) = (point.z > 0.0).then(|| camera.project(point))?;
+            let is_inside = camera.contains(u, v, 0.0);
+            is_inside.then_some(SparseDepth { at: [u, v], depth: point.z, ..*landmark })
+        };
+        Some(Keyframe {
+            index: frame,
+            timestamp: self.timestamps[frame],
+            world_from_camera,
+            depths: nearest.depths.iter().filter_map(seen).collect(),
+        })
     }
 }
 
-/// Two neighbouring keyframes.
+/// Two neighbours among the frames that are chosen so far.
 struct Gap {
-    /// The frame that can be a keyframe between them.
-    frame: Option<usize>,
-    /// Motion of the picture from one to the other \[px\].
+    /// The first of them, the usable frame nearest to the middle, and the last.
+    frames: [usize; 3],
+    /// Motion of the picture from the first to the last \[px\].
     motion: f64,
-}
-
-/// The usable frame nearest to the middle between two.
-fn middle_frame(usable: &[bool], [first, last]: [usize; 2]) -> Option<usize> {
-    let between = (first + 1..last).filter(|frame| usable[*frame]);
-    between.min_by_key(|frame| (2 * frame).abs_diff(first + last))
 }
 
 /// Motion of the picture from one pose to another, at a depth \[px\].
@@ -58,33 +80,6 @@ fn picture_motion(camera: &Camera<f64>, depth: f64, [from, to]: [Pose<f64>; 2]) 
     let motion = from.local(to).to_array();
     let length = |part: &[f64]| part.iter().map(|x| x * x).sum::<f64>().sqrt();
     camera.fx * (length(&motion[..3]) / depth + length(&motion[3..]))
-}
-
-/// A frame as a keyframe, with the landmarks of two others that it sees.
-fn keyframe_between(
-    found: &Reconstruction,
-    frame: usize,
-    around: [&Keyframe; 2],
-) -> Option<Keyframe> {
-    let world_from_camera = found.poses[frame]?;
-    let seen = |keyframe: &Keyframe| {
-        let relative = world_from_camera.inverse() * keyframe.world_from_camera;
-        let camera = &found.camera;
-        let project = move |landmark: &SparseDepth| {
-            let [u, v] = landmark.at;
-            let point = relative * camera.unproject(u, v, landmark.depth);
-            let (u, v) = (point.z > 0.0).then(|| camera.project(point))?;
-            let is_inside = camera.contains(u, v, 0.0);
-            is_inside.then_some(SparseDepth { at: [u, v], depth: point.z, ..*landmark })
-        };
-        keyframe.depths.iter().filter_map(project).collect::<Vec<SparseDepth>>()
-    };
-    Some(Keyframe {
-        index: frame,
-        timestamp: found.timestamps[frame],
-        world_from_camera,
-        depths: around.map(seen).concat(),
-    })
 }
 
 #[cfg(test)]
@@ -131,41 +126,49 @@ mod tests {
         }
     }
 
-    fn keyframes(found: &Reconstruction) -> Vec<usize> {
-        found.keyframes.iter().map(|keyframe| keyframe.index).collect()
+    fn chosen(found: &Reconstruction, most: usize, held_out: Option<usize>) -> Vec<usize> {
+        let is_held_out = |frame: usize| Some(frame) == held_out;
+        found.frames_between_keyframes(most, is_held_out).into_iter().collect()
     }
 
     #[test]
     fn the_widest_gaps_are_halved() {
-        assert_eq!(keyframes(&path(0.05).with_keyframes_between(3, |_| false)), [0, 4, 8]);
-        assert_eq!(keyframes(&path(0.05).with_keyframes_between(5, |_| false)), [0, 2, 4, 6, 8]);
-        let all: Vec<usize> = (0..9).collect();
-        assert_eq!(keyframes(&path(0.05).with_keyframes_between(100, |_| false)), all);
+        assert_eq!(chosen(&path(0.05), 3, None), [4]);
+        assert_eq!(chosen(&path(0.05), 5, None), [2, 4, 6]);
+        assert_eq!(chosen(&path(0.05), 100, None), [1, 2, 3, 4, 5, 6, 7]);
+        // The camera rests in the first half.
+        let mut found = path(0.05);
+        (0..4).for_each(|frame| found.poses[frame] = found.poses[4]);
+        assert_eq!(chosen(&found, 4, None), [4, 6]);
     }
 
     #[test]
-    fn frames_held_out_lost_or_at_the_same_place_are_none() {
-        assert_eq!(keyframes(&path(0.05).with_keyframes_between(3, |f| f == 4)), [0, 3, 8]);
+    fn frames_held_out_lost_or_at_the_same_place_are_left_out() {
+        assert_eq!(chosen(&path(0.05), 3, Some(4)), [3]);
         let mut found = path(0.05);
         (1..7).for_each(|frame| found.poses[frame] = None);
-        assert_eq!(keyframes(&found.with_keyframes_between(9, |_| false)), [0, 7, 8]);
+        assert_eq!(chosen(&found, 9, None), [7]);
         // 0.5 px altogether.
-        assert_eq!(keyframes(&path(0.0005).with_keyframes_between(9, |_| false)), [0, 8]);
+        assert!(chosen(&path(0.0005), 9, None).is_empty());
         let photographs = Reconstruction { is_unordered: true, ..path(0.05) };
-        assert_eq!(keyframes(&photographs.with_keyframes_between(9, |_| false)), [0, 8]);
+        assert!(chosen(&photographs, 9, None).is_empty());
     }
 
     #[test]
-    fn landmarks_of_both_neighbours_are_where_the_frame_sees_them() {
-        let found = path(0.05).with_keyframes_between(3, |_| false);
-        let [first, between, last] = &found.keyframes[..] else { panic!("{found:?}") };
-        assert!(between.depths.len() > first.depths.len().max(last.depths.len()));
-        for landmark in &between.depths {
-            let [u, v] = landmark.at;
-            let point = between.world_from_camera * CAMERA.unproject(u, v, landmark.depth);
-            let place = (point.x + 0.8) / 0.1;
-            assert!((place - place.round()).abs() < 1e-9 && (point.y - 0.1).abs() < 1e-9);
-            assert!((point.z - DEPTH).abs() < 1e-9);
+    fn landmarks_of_the_nearest_keyframe_are_where_the_frame_sees_them() {
+        let found = path(0.05).with_keyframes(&BTreeSet::from([2, 6]));
+        let indices: Vec<usize> = found.keyframes.iter().map(|keyframe| keyframe.index).collect();
+        assert_eq!(indices, [0, 2, 6, 8]);
+        for [near, between] in [[0, 1], [3, 2]].map(|pair| pair.map(|k| &found.keyframes[k])) {
+            let count = between.depths.len();
+            assert!(count > 10 && count <= near.depths.len(), "{count}");
+            for landmark in &between.depths {
+                let [u, v] = landmark.at;
+                let point = between.world_from_camera * CAMERA.unproject(u, v, landmark.depth);
+                let place = (point.x + 0.8) / 0.1;
+                assert!((place - place.round()).abs() < 1e-9 && (point.y - 0.1).abs() < 1e-9);
+                assert!((point.z - DEPTH).abs() < 1e-9);
+            }
         }
     }
 }

@@ -66,6 +66,8 @@ pub(crate) type BoxedLoader = Box<dyn FnMut(usize) -> Result<Frame, PictureError
 #[derive(Default)]
 struct FramesBetween {
     frames: VecDeque<usize>,
+    /// Those that a map is fitted to as to keyframes.
+    fitted: BTreeSet<usize>,
     load: Option<BoxedLoader>,
 }
 
@@ -134,22 +136,6 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
             coming,
             between,
         }
-    }
-
-    /// Delivers frames of a film between keyframes as keyframes, too, until there are `most`, but none
-    /// whose position `is_held_out`. To be called before dense depth or frames between are asked for.
-    #[must_use]
-    pub(crate) fn with_keyframes_between(
-        mut self,
-        most: usize,
-        is_held_out: impl Fn(usize) -> bool,
-    ) -> Self {
-        let positions = &self.positions;
-        let is_held_out = |frame: usize| positions.get(frame).is_none_or(|at| is_held_out(*at));
-        self.reconstruction = self.reconstruction.with_keyframes_between(most, is_held_out);
-        self.reader.positions = keyframe_positions(&self.reconstruction, &self.positions);
-        self.coming = (0..self.reconstruction.keyframes.len()).collect();
-        self
     }
 
     /// Moves the path as a whole as near as possible to given poses by position, in their unit of length, with
@@ -225,8 +211,35 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
     where
         R: FnMut(usize) -> Result<Frame, PictureError> + Send + 'static,
     {
-        let frames = self.frames_between().collect();
-        self.between = FramesBetween { frames, load: Some(Box::new(load)) };
+        self.between.frames = self.frames_between().collect();
+        self.between.load = Some(Box::new(load));
+        self
+    }
+
+    /// Delivers frames of a film between keyframes as keyframes, too, until there are `most`, but none whose
+    /// position `is_held_out`. Their depth is that measured, averaged with that of keyframes; by colour alone
+    /// it is dense depth as of all keyframes. To be called before others are asked for.
+    #[must_use]
+    pub(crate) fn with_fitted_frames<R>(
+        mut self,
+        most: usize,
+        is_held_out: impl Fn(usize) -> bool,
+        load: R,
+    ) -> Self
+    where
+        R: FnMut(usize) -> Result<Frame, PictureError> + Send + 'static,
+    {
+        let positions = &self.positions;
+        let is_held_out = |frame: usize| positions.get(frame).is_none_or(|at| is_held_out(*at));
+        let fitted = self.reconstruction.frames_between_keyframes(most, is_held_out);
+        if self.reconstruction.depth_model.is_some() {
+            let frames = fitted.iter().copied().collect();
+            self.between = FramesBetween { frames, fitted, load: Some(Box::new(load)) };
+        } else {
+            self.reconstruction = self.reconstruction.with_keyframes(&fitted);
+            self.reader.positions = keyframe_positions(&self.reconstruction, &self.positions);
+            self.coming = (0..self.reconstruction.keyframes.len()).collect();
+        }
         self
     }
 
@@ -251,7 +264,7 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
         (0..found.poses.len()).filter(move |f| found.poses[*f].is_some() && !is_keyframe(*f))
     }
 
-    /// Posed frames that are no keyframes, in order, without depth, from the pictures of `load`.
+    /// Posed frames that are not delivered as keyframes, in order, without depth, from the pictures of `load`.
     pub fn non_keyframes<R: FnMut(usize) -> Result<Frame, PictureError>>(
         &self,
         mut load: R,
@@ -259,6 +272,7 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
         let found = &self.reconstruction;
         let frames: Vec<(usize, Pose<f64>)> = self
             .frames_between()
+            .filter(|frame| !self.between.fitted.contains(frame))
             .filter_map(|frame| Some((*self.positions.get(frame)?, found.poses[frame]?)))
             .collect();
         frames.into_iter().map(move |(position, world_from_camera)| {
@@ -369,8 +383,10 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
             dense.fuse(pose, near, &measured, &mut pictures)
         });
         let depth = depth.map(into_estimated);
+        // Gaussians are split by the depth of a keyframe.
+        let is_keyframe = depth.is_some() && self.between.fitted.contains(&index);
         let posed = posed(found, index, frame, pose);
-        Ok(PosedKeyframe { depth, is_keyframe: false, ..posed })
+        Ok(PosedKeyframe { depth, is_keyframe, ..posed })
     }
 }
 

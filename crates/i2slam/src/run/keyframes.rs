@@ -90,10 +90,6 @@ pub(super) fn from_odometry(
         None => find_path(sequence, (estimate_distortion, None), options, context)?,
     };
     let keyframes = source.reconstruction().keyframes.len();
-    let source = match &mapped {
-        Some(_) => source,
-        None => with_fitted_keyframes(source, sequence, options),
-    };
     let found = source.with_pictures(size, |place| picture(sequence, place));
     let camera = CameraEstimate::new(sequence, found.reconstruction());
     context.observer.camera(&camera);
@@ -104,6 +100,10 @@ pub(super) fn from_odometry(
     }
     let pictures = Arc::new(undistorted.as_ref().unwrap_or(sequence).clone());
     let (others, between_keyframes) = (Arc::clone(&pictures), Arc::clone(&pictures));
+    let found = match &mapped {
+        Some(_) => found,
+        None => with_fitted_frames(found, &pictures, options),
+    };
     let source = found.with_pictures(size, move |place| picture(&pictures, place));
     let by_index = |(place, stamp, pose): (usize, f64, Pose<f64>)| {
         Some((sequence.entries.get(place)?.index, stamp, pose))
@@ -204,10 +204,10 @@ fn find_path(
     }
 }
 
-/// With the keyframes that Gaussians are [fitted to](crate::Config::fitted_keyframes).
-fn with_fitted_keyframes<L>(
+/// With the frames between keyframes that Gaussians are [fitted to](crate::Config::fitted_keyframes).
+fn with_fitted_frames<L>(
     source: MonocularSource<L>,
-    sequence: &Sequence,
+    sequence: &Arc<Sequence>,
     options: &RunOptions,
 ) -> MonocularSource<L>
 where
@@ -217,7 +217,12 @@ where
     let most = options.config.fitted_keyframes(found.keyframes.len(), found.poses.len());
     let held_out = avoided_keyframes(options, Some(sequence));
     let index = |place: usize| sequence.entries.get(place).map_or(place, |entry| entry.index);
-    source.with_keyframes_between(most, |place| held_out.is_held_out(index(place)))
+    let pictures = Arc::clone(sequence);
+    source.with_fitted_frames(
+        most,
+        |place| held_out.is_held_out(index(place)),
+        move |place| picture(&pictures, place),
+    )
 }
 
 /// Frames that the front end avoids as keyframes: those held out, of a sequence or a stream; none where

@@ -129,6 +129,32 @@ fn frames_between_keyframes_come_in_order_with_their_measured_depth() {
     assert!(keyframes < 14 && source.remaining() == 0);
 }
 
+/// Of fourteen frames ten are delivered as keyframes, none of them held out; with measured depth the others come,
+/// too.
+#[test]
+fn frames_that_a_map_is_fitted_to_come_as_keyframes() {
+    let is_held_out = |position: usize| position % 4 == 3;
+    let delivered = |with_depth: bool| {
+        let load = if with_depth { load_with_depth } else { load };
+        let found = find(14, load).expect("a path").with_fitted_frames(10, is_held_out, load);
+        let found = if with_depth { found.with_frames_between(load) } else { found };
+        let others = found.non_keyframes(load).count();
+        let mut source = found.with_dense_depth(CancellationToken::default());
+        let next = || source.next_keyframe();
+        let frames: Vec<PosedKeyframe> = std::iter::from_fn(next).map(Result::unwrap).collect();
+        let (keyframes, between): (Vec<_>, Vec<_>) = frames.iter().partition(|f| f.is_keyframe);
+        let known = |frame: &&PosedKeyframe| {
+            let depth = &frame.depth.as_ref().expect("depth").depth;
+            2 * depth.data.iter().filter(|z| **z > 0.0).count() > depth.pixels()
+        };
+        assert_eq!((keyframes.len(), others), (10, 4));
+        assert!(keyframes.iter().all(known));
+        assert!(frames.is_sorted_by_key(|frame| frame.index));
+        between.len()
+    };
+    assert_eq!([true, false].map(delivered), [4, 0]);
+}
+
 #[test]
 fn keyframes_may_be_smaller_than_the_odometry_pictures() {
     let small = camera().resized(80, 60);
