@@ -49,12 +49,13 @@ impl AdamSettings {
         let count = parameters.len();
         let (gradient, first) = (&gradient[..count], &mut first[..count]);
         let (second, moves) = (&mut second[..count], &factors.moves[..count]);
-        let (rates, correct2) = (&factors.rates[..count], &factors.second[..count]);
+        let rates = &factors.rates[..count];
+        let (correct1, correct2) = (&factors.first[..count], &factors.second[..count]);
         for i in 0..count {
             let g = if gradient[i].is_finite() { gradient[i] } else { 0.0 };
             let m = self.beta1 * first[i] + (1.0 - self.beta1) * g;
             let v = self.beta2 * second[i] + (1.0 - self.beta2) * g * g;
-            let step = rates[i] * m / ((v * correct2[i]).sqrt() + self.epsilon);
+            let step = rates[i] * m * correct1[i] / ((v * correct2[i]).sqrt() + self.epsilon);
             first[i] = if moves[i] { m } else { first[i] };
             second[i] = if moves[i] { v } else { second[i] };
             parameters[i] = if moves[i] { parameters[i] - step } else { parameters[i] };
@@ -65,11 +66,11 @@ impl AdamSettings {
 /// Parameters that are stepped together.
 const BLOCK: usize = 192;
 
-/// For each parameter of a block, whether it moves, its learning rate over the bias of the first moment, and
-/// what corrects that of the second.
+/// For each parameter of a block, whether it moves, its learning rate, and what corrects the bias of its moments.
 struct Factors {
     moves: [bool; BLOCK],
     rates: [f32; BLOCK],
+    first: [f32; BLOCK],
     second: [f32; BLOCK],
 }
 
@@ -81,12 +82,14 @@ impl Factors {
         corrections: &[(f32, f32)],
         rate: impl Fn(usize) -> f32,
     ) -> Self {
-        let mut factors = Self { moves: [false; BLOCK], rates: [0.0; BLOCK], second: [1.0; BLOCK] };
+        let (rates, ones) = ([0.0; BLOCK], [1.0; BLOCK]);
+        let mut factors = Self { moves: [false; BLOCK], rates, first: ones, second: ones };
         for (element, &age) in ages.iter().enumerate().filter(|(_, age)| **age > 0) {
             let (first, second) = corrections[(age as usize).min(corrections.len() - 1)];
-            let rate = first * rate(element);
+            let rate = rate(element);
             for i in element * width..(element + 1) * width {
-                (factors.moves[i], factors.rates[i], factors.second[i]) = (true, rate, second);
+                (factors.moves[i], factors.rates[i]) = (true, rate);
+                (factors.first[i], factors.second[i]) = (first, second);
             }
         }
         factors
@@ -155,13 +158,13 @@ impl Adam {
             .zip(self.first.par_chunks_mut(chunk).zip(self.second.par_chunks_mut(chunk)))
             .zip(ages.par_chunks(elements))
             .enumerate()
-            .for_each(|(chunk, (((parameters, gradient), (first, second)), ages))| {
+            .for_each(|(task, (((parameters, gradient), (first, second)), ages))| {
                 let block_elements = BLOCK / width.max(1);
                 let block = block_elements * width.max(1);
                 let blocks = parameters.chunks_mut(block).zip(gradient.chunks(block));
                 let moments = first.chunks_mut(block).zip(second.chunks_mut(block));
                 let ages =
-                    (chunk * elements..).step_by(block_elements).zip(ages.chunks(block_elements));
+                    (task * elements..).step_by(block_elements).zip(ages.chunks(block_elements));
                 for (((parameters, gradient), moments), (start, ages)) in
                     blocks.zip(moments).zip(ages)
                 {

@@ -231,7 +231,7 @@ fn warnings_call_photographs_by_their_files() {
     }
     fs::remove_file(folder.join("IMG_13.jpg")).expect("it is there");
     write_colour(&folder.join("IMG_13.png"), (304, 224), &[0; 304 * 224 * 3]);
-    let flags = ["--rgb", "--max-side", "96", "--render", "none"];
+    let flags = ["--rgb", "--max-side", "160", "--render", "none"];
     let ran = reconstruct(&folder, &out, &flags).exits_with(0);
     let metrics = fs::read_to_string(out.join("metrics.json")).expect("metrics");
     let report = fs::read_to_string(out.join("report.html")).expect("a report");

@@ -22,12 +22,14 @@ pub use ranges::{MAX_MEMORY, MIN_MEMORY};
 pub use i2slam_formation::{Quadrature, StartCurve, WhiteBalanceModel};
 
 use serde::{Deserialize, Serialize};
+use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
-/// Most steps after the last frame for each keyframe: the others gain 0.03 to 0.2 dB.
-const FINAL_STEPS_PER_KEYFRAME: usize = 25;
-/// Fewest of them for each keyframe where frames between keyframes become keyframes, too.
-const MIN_FINAL_STEPS_PER_KEYFRAME: usize = 5;
+/// Steps after the last frame for each keyframe: many views need fewer of each. Few keyframes have 25 at most,
+/// more gain 0.03 to 0.2 dB.
+const FINAL_STEPS_PER_KEYFRAME: RangeInclusive<usize> = 5..=25;
+/// Fewest of these steps, unless keyframes are too few.
+const MIN_FINAL_STEPS: usize = 400;
 
 /// Declares a section of settings. The doc comments of its keys are the help in printed presets.
 macro_rules! section {
@@ -236,8 +238,8 @@ section! {
         seconds_per_frame: f32,
         /// Adam steps of the round that starts the map.
         first_iterations: usize,
-        /// Steps after the last frame, over all keyframes, fewer of few keyframes: at most 25 of each.
-        /// Frames of a film are keyframes of the map, too, as long as each gets 5. SplaTAM: none.
+        /// Most steps after the last frame. There are 5 of each keyframe, or 400 of few (25 of each at most);
+        /// frames of a film are keyframes of the map, too, as long as each gets 5. SplaTAM: none.
         final_iterations: usize,
         /// Hold out every n-th frame, of imported keyframes every n-th of these: tracked, but never mapped,
         /// for `eval --protocol held-out`. At least 2; 0 holds none out.
@@ -333,7 +335,7 @@ impl Config {
         if self.map.kind != MapKind::Gaussian || self.tracking.method == TrackingMethod::Adam {
             return keyframes;
         }
-        keyframes.max(frames.min(self.mapping.final_iterations / MIN_FINAL_STEPS_PER_KEYFRAME))
+        keyframes.max(frames.min(self.mapping.final_iterations / FINAL_STEPS_PER_KEYFRAME.start()))
     }
 }
 
@@ -352,7 +354,9 @@ impl MappingConfig {
 
     /// Steps after the last frame over so many keyframes.
     pub(crate) fn final_steps(&self, keyframes: usize) -> usize {
-        self.final_iterations.min(FINAL_STEPS_PER_KEYFRAME * keyframes)
+        let [least, most] = [FINAL_STEPS_PER_KEYFRAME.start(), FINAL_STEPS_PER_KEYFRAME.end()]
+            .map(|steps| steps * keyframes);
+        self.final_iterations.min(MIN_FINAL_STEPS.clamp(least, most))
     }
 }
 

@@ -115,7 +115,7 @@ fn ours() -> Config {
         mapping: MappingConfig {
             iterations: 15,
             first_iterations: 60,
-            final_iterations: 400,
+            final_iterations: 4000,
             window: 10,
             keyframe_interval: 4,
             keyframe_motion: 0.004,
@@ -294,7 +294,11 @@ mod tests {
     fn gaussians_are_fitted_to_as_many_keyframes_as_steps_allow() {
         let config = Config::default();
         let fitted = |keyframes, frames| config.fitted_keyframes(keyframes, frames);
-        assert_eq!([fitted(17, 66), fitted(60, 500), fitted(120, 500)], [66, 80, 120]);
+        assert_eq!([fitted(17, 66), fitted(60, 2000), fitted(900, 2000)], [66, 800, 900]);
+        let steps = [1, 10, 66, 240, 800, 900].map(|count| config.mapping.final_steps(count));
+        assert_eq!(steps, [25, 250, 400, 1200, 4000, 4000]);
+        let quick = MappingConfig { final_iterations: 50, ..config.mapping.clone() };
+        assert_eq!([10, 80].map(|count| quick.final_steps(count)), [50, 50]);
         let mut field = Config::default();
         field.map.kind = MapKind::HashGrid;
         let paper = Config::preset("paper-scannet").expect("known");

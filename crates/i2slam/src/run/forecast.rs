@@ -1,6 +1,6 @@
 //! Duration of a run, extrapolated from its first frames, and anew when all are tracked or placed.
 
-use crate::config::{Config, MapKind};
+use crate::config::{Config, HoldOut, MapKind};
 use crate::keyframes::Stage as OdometryStage;
 use crate::session::RuntimeEstimate;
 use i2slam_dataset::Sequence;
@@ -150,7 +150,7 @@ impl Forecaster {
         }
         let elapsed = self.started.elapsed().as_secs_f64() - self.measuring;
         let path_keyframes = (keyframes * frames).div_ceil(done);
-        let keyframes = self.config.fitted_keyframes(path_keyframes, frames);
+        let keyframes = self.config.fitted_keyframes(path_keyframes, self.frames_not_held_out());
         let pace = match self.pace {
             Some(pace) => pace,
             None => {
@@ -162,7 +162,8 @@ impl Forecaster {
         };
         let maps_between = self.has_depth && self.config.map.kind == MapKind::Gaussian;
         let mapped = if maps_between { frames } else { keyframes };
-        let mapping = pace.mapping(&self.config, (path_keyframes, keyframes), mapped);
+        let dense = if self.has_depth { path_keyframes } else { keyframes };
+        let mapping = pace.mapping(&self.config, (path_keyframes, dense), mapped);
         let path = path_seconds(elapsed - preview, (done, frames), self.has_depth);
         let preview = preview * frames as f64 / done as f64;
         let after = mapping + pace.finish(&self.config, keyframes, frames);
@@ -170,6 +171,11 @@ impl Forecaster {
         let is_told = self.last.is_none_or(|last| is_news(seconds, last));
         self.last = Some(seconds);
         is_told.then(|| RuntimeForecast { is_second, ..self.forecast(seconds, keyframes) })
+    }
+
+    fn frames_not_held_out(&self) -> usize {
+        let mut hold_out = HoldOut::new(&self.config.mapping);
+        self.sequence.entries.iter().filter(|entry| !hold_out.decide(entry.index)).count()
     }
 
     /// The forecast of photographs, once enough of their pairs were matched: `done` of `pairs`. Times a little

@@ -68,17 +68,17 @@ impl RuntimeEstimate {
         Some(Self { dense_depth: dense_depth(camera, colour, is_unordered), keyframe, step, frame })
     }
 
-    /// Time of mapping `frames` frames whose poses are known, of which `keyframes` are keyframes, with the
-    /// steps of those of the path [s].
+    /// Time of mapping `frames` frames whose poses are known, `dense` of them with dense depth, with the steps
+    /// of the keyframes of the path [s].
     pub fn mapping(
         &self,
         config: &Config,
-        (path_keyframes, keyframes): (usize, usize),
+        (path_keyframes, dense): (usize, usize),
         frames: usize,
     ) -> f64 {
         let (per_keyframe, _) = steps(config, path_keyframes);
         let stepping = path_keyframes as f64 * per_keyframe * self.step;
-        stepping + keyframes as f64 * self.dense_depth + frames as f64 * self.keyframe
+        stepping + dense as f64 * self.dense_depth + frames as f64 * self.keyframe
     }
 
     /// Time after `keyframes` keyframes among `frames` frames were mapped [s].

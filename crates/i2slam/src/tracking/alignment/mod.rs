@@ -31,9 +31,11 @@ use std::sync::Arc;
 
 /// Levels of the image pyramids.
 const LEVELS: usize = 3;
-/// Least share of the frame's depth that must lie on the map's surface; of estimated depth, which may be that of
-/// the map, the least share of what can lie there where the map has holes.
+/// Least share of the frame's depth that must lie on the map's surface; where that depth is the map's own, of
+/// what can lie there.
 const MIN_OVERLAP: f64 = 0.3;
+/// Least share of depth that is the map's own, whatever its holes.
+const MIN_HOLED_OVERLAP: f64 = 0.05;
 /// Least share of the overlap that another start must keep to be preferred: a pose that sees
 /// nothing has no loss.
 const MIN_OVERLAP_RATIO: f64 = 0.9;
@@ -190,17 +192,18 @@ impl FrameAlignment<'_> {
         self.sees_map(end) && loss_ratio < MAX_LOSS_RATIO
     }
 
-    /// Overlap test: true if the frame's depth lies on the map's surface, as far as the map has one.
+    /// Overlap test: true if enough of the frame's depth lies on the map's surface. The depth of a frame that is
+    /// localised is the map's own, with its holes.
     fn sees_map(&self, end: &AlignmentOutcome) -> bool {
-        let attainable = match self.observation.is_estimated() {
-            true => {
+        let least = match self.context.expected {
+            Some(_) => {
                 let surface = end.targets[0].levels[0].surface_pixels();
-                (surface as f64 / self.observation.valid_depths().max(1) as f64).min(1.0)
+                let depths = self.observation.valid_depths().max(surface).max(1);
+                (MIN_OVERLAP * surface as f64 / depths as f64).max(MIN_HOLED_OVERLAP)
             }
-            false => 1.0,
+            None => MIN_OVERLAP,
         };
-        let overlap = end.sums.overlap();
-        overlap >= MIN_DEPTH_COVERAGE && overlap >= MIN_OVERLAP * attainable
+        end.sums.overlap() >= least
     }
 
     /// A loss over its median in the last tracked frames; 1 where these are too few. The first
