@@ -10,7 +10,8 @@
 //! F = n (n - 1) |ḡ|² / Σ_k |g_k - ḡ|²
 //! ```
 //!
-//! is about 1 by chance for many keyframes. Detail that is even about the middle, as a line along it, has no
+//! is about 1 by chance for many keyframes. These would tell contrasts, too, that no picture shows for its noise:
+//! |ḡ|² must be half the variance of g_k as well. Detail that is even about the middle, as a line along it, has no
 //! such contrast.
 
 use super::scale_bounds::ScaleBounds;
@@ -20,6 +21,8 @@ use i2slam_radiance::gaussian::{GaussianMap, MapGradient};
 /// Ratio of variances from which keyframes agree. Chance exceeds it in one of 7 (two keyframes) to 135
 /// (many) where the channels err independently, in one of 3 to 22 where they err together.
 const MIN_F: f32 = 4.0;
+/// Square of the mean over the variance from which detail is worth two Gaussians.
+const MIN_SHARED_VARIANCE: f32 = 0.5;
 /// Parts of a candidate: bit `k` of a part is its side along long axis `k`.
 const PARTS: usize = 4;
 
@@ -51,7 +54,8 @@ impl ContrastSums {
         }
         let n = self.keyframes as f32;
         let common = self.derivative.iter().map(|sum| sum * sum).sum::<f32>() / n;
-        common * (n - 1.0) >= MIN_F * (self.squares - common)
+        let different = self.squares - common;
+        common * (n - 1.0) >= MIN_F * different && common >= MIN_SHARED_VARIANCE * different
     }
 }
 
@@ -226,6 +230,11 @@ mod tests {
         for (e, agrees) in [(1.10, true), (1.14, false)] {
             let keyframes = [1.0, -1.0, 1.0, -1.0, 1.0, -1.0].map(|s| contrasts([1.0 + s * e; 2]));
             assert_eq!(evidence(&keyframes).supports(0, 0), agrees, "{e}");
+        }
+        // Of many 1 / e² is half at e = 1.414, where F would be 4 at e = 3.4.
+        for (e, agrees) in [(1.40, true), (1.43, false)] {
+            let pair = [1.0, -1.0].map(|s| contrasts([1.0 + s * e; 2]));
+            assert_eq!(evidence(&pair.repeat(24)).supports(0, 0), agrees, "{e}");
         }
     }
 
