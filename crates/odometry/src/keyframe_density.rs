@@ -7,17 +7,17 @@ use std::collections::BTreeSet;
 
 impl Reconstruction {
     /// Posed frames of a film that would, together with its keyframes, be `most`: each time that in the
-    /// middle of the two neighbours between which the picture moves most, but no frame that `is_held_out`.
+    /// middle of the two neighbours between which the picture moves most, of those alone that are usable.
     pub fn frames_between_keyframes(
         &self,
         most: usize,
-        is_held_out: impl Fn(usize) -> bool,
+        is_usable: impl Fn(usize) -> bool,
     ) -> BTreeSet<usize> {
         let mut chosen = BTreeSet::new();
         let Some(depth) = self.median_depth().filter(|_| !self.is_unordered) else { return chosen };
         let least = f64::from(MIN_KEYFRAME_MOTION) * self.camera.width as f64;
         let gap = |[first, last]: [usize; 2]| {
-            let usable = |frame: &usize| self.poses[*frame].is_some() && !is_held_out(*frame);
+            let usable = |frame: &usize| self.poses[*frame].is_some() && is_usable(*frame);
             let between = (first + 1..last).filter(usable);
             let middle = between.min_by_key(|frame| (2 * frame).abs_diff(first + last))?;
             let motion =
@@ -36,7 +36,8 @@ impl Reconstruction {
         chosen
     }
 
-    /// Makes posed frames keyframes, too, with those landmarks of the nearest keyframe that they see.
+    /// Makes posed frames keyframes, too, each with those landmarks of the keyframe before or after it that it
+    /// sees, whichever are more.
     #[must_use]
     pub fn with_keyframes(mut self, frames: &BTreeSet<usize>) -> Self {
         let more: Vec<Keyframe> =
@@ -47,23 +48,32 @@ impl Reconstruction {
     }
 
     fn frame_as_keyframe(&self, frame: usize) -> Option<Keyframe> {
-        let nearest = self.keyframes.iter().min_by_key(|k| k.index.abs_diff(frame))?;
-        let world_from_camera = self.poses[frame]?;
-        let relative = world_from_camera.inverse() * nearest.world_from_camera;
-        let camera = &self.camera;
-        let seen = |landmark: &SparseDepth| {
-            let [u, v] = landmark.at;
-            let point = relative * camera.unproject(u, v, landmark.depth);
-            let (u, v) = (point.z > 0.0).then(|| camera.project(point))?;
-            let is_inside = camera.contains(u, v, 0.0);
-            is_inside.then_some(SparseDepth { at: [u, v], depth: point.z, ..*landmark })
-        };
+        let world_from_camera = (*self.poses.get(frame)?)?;
+        let next = self.keyframes.partition_point(|keyframe| keyframe.index < frame);
+        if self.keyframes.get(next).is_some_and(|keyframe| keyframe.index == frame) {
+            return None;
+        }
+        let around = &self.keyframes[next.saturating_sub(1)..(next + 1).min(self.keyframes.len())];
+        let seen = around.iter().map(|keyframe| self.landmarks_in(keyframe, world_from_camera));
         Some(Keyframe {
             index: frame,
             timestamp: self.timestamps[frame],
             world_from_camera,
-            depths: nearest.depths.iter().filter_map(seen).collect(),
+            depths: seen.max_by_key(Vec::len)?,
         })
+    }
+
+    /// Landmarks of a keyframe that are within the picture of a camera.
+    fn landmarks_in(&self, keyframe: &Keyframe, world_from_camera: Pose<f64>) -> Vec<SparseDepth> {
+        let relative = world_from_camera.inverse() * keyframe.world_from_camera;
+        let seen = |landmark: &SparseDepth| {
+            let [u, v] = landmark.at;
+            let point = relative * self.camera.unproject(u, v, landmark.depth);
+            let (u, v) = (point.z > 0.0).then(|| self.camera.project(point))?;
+            let is_inside = self.camera.contains(u, v, 0.0);
+            is_inside.then_some(SparseDepth { at: [u, v], depth: point.z, ..*landmark })
+        };
+        keyframe.depths.iter().filter_map(seen).collect()
     }
 }
 
@@ -127,8 +137,7 @@ mod tests {
     }
 
     fn chosen(found: &Reconstruction, most: usize, held_out: Option<usize>) -> Vec<usize> {
-        let is_held_out = |frame: usize| Some(frame) == held_out;
-        found.frames_between_keyframes(most, is_held_out).into_iter().collect()
+        found.frames_between_keyframes(most, |frame| Some(frame) != held_out).into_iter().collect()
     }
 
     #[test]
@@ -155,8 +164,8 @@ mod tests {
     }
 
     #[test]
-    fn landmarks_of_the_nearest_keyframe_are_where_the_frame_sees_them() {
-        let found = path(0.05).with_keyframes(&BTreeSet::from([2, 6]));
+    fn landmarks_of_a_neighbour_are_where_the_frame_sees_them() {
+        let found = path(0.05).with_keyframes(&BTreeSet::from([0, 2, 6, 9]));
         let indices: Vec<usize> = found.keyframes.iter().map(|keyframe| keyframe.index).collect();
         assert_eq!(indices, [0, 2, 6, 8]);
         for [near, between] in [[0, 1], [3, 2]].map(|pair| pair.map(|k| &found.keyframes[k])) {

@@ -28,8 +28,8 @@ use std::path::PathBuf;
 /// Steps after the last frame for each keyframe: many views need fewer of each. Few keyframes have 25 at most,
 /// more gain 0.03 to 0.2 dB.
 const FINAL_STEPS_PER_KEYFRAME: RangeInclusive<usize> = 5..=25;
-/// Fewest of these steps, unless keyframes are too few.
-const MIN_FINAL_STEPS: usize = 400;
+/// Steps of fewer than 80 keyframes, if these get 25 each at most.
+const FINAL_STEPS_OF_FEW: usize = 400;
 
 /// Declares a section of settings. The doc comments of its keys are the help in printed presets.
 macro_rules! section {
@@ -356,7 +356,7 @@ impl MappingConfig {
     pub(crate) fn final_steps(&self, keyframes: usize) -> usize {
         let [least, most] = [FINAL_STEPS_PER_KEYFRAME.start(), FINAL_STEPS_PER_KEYFRAME.end()]
             .map(|steps| steps * keyframes);
-        self.final_iterations.min(MIN_FINAL_STEPS.clamp(least, most))
+        self.final_iterations.min(FINAL_STEPS_OF_FEW.clamp(least, most))
     }
 }
 

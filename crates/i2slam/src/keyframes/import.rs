@@ -62,6 +62,7 @@ impl KeyframeSource for Import {
             exposure_motion: None,
             depth: keyframe.depth.map(|depth| EstimatedDepth { depth, variance }),
             is_keyframe: true,
+            fills_depth: true,
         }))
     }
 }

@@ -66,7 +66,7 @@ pub(crate) type BoxedLoader = Box<dyn FnMut(usize) -> Result<Frame, PictureError
 #[derive(Default)]
 struct FramesBetween {
     frames: VecDeque<usize>,
-    /// Those that a map is fitted to as to keyframes.
+    /// Those of them that are delivered as keyframes.
     fitted: BTreeSet<usize>,
     load: Option<BoxedLoader>,
 }
@@ -216,25 +216,19 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
         self
     }
 
-    /// Delivers frames of a film between keyframes as keyframes, too, until there are `most`, but none whose
-    /// position `is_held_out`. Their depth is that measured, averaged with that of keyframes; by colour alone
-    /// it is dense depth as of all keyframes. To be called before others are asked for.
+    /// Delivers frames of a film between keyframes as keyframes, too, until there are `most`, those alone whose
+    /// position `is_usable`. With measured depth they are among the [frames between](Self::with_frames_between);
+    /// by colour alone they have dense depth as all keyframes. To be called before others are asked for.
     #[must_use]
-    pub(crate) fn with_fitted_frames<R>(
+    pub(crate) fn with_fitted_frames(
         mut self,
         most: usize,
-        is_held_out: impl Fn(usize) -> bool,
-        load: R,
-    ) -> Self
-    where
-        R: FnMut(usize) -> Result<Frame, PictureError> + Send + 'static,
-    {
-        let positions = &self.positions;
-        let is_held_out = |frame: usize| positions.get(frame).is_none_or(|at| is_held_out(*at));
-        let fitted = self.reconstruction.frames_between_keyframes(most, is_held_out);
+        is_usable: impl Fn(usize) -> bool,
+    ) -> Self {
+        let is_usable = |frame: usize| self.positions.get(frame).is_some_and(|at| is_usable(*at));
+        let fitted = self.reconstruction.frames_between_keyframes(most, is_usable);
         if self.reconstruction.depth_model.is_some() {
-            let frames = fitted.iter().copied().collect();
-            self.between = FramesBetween { frames, fitted, load: Some(Box::new(load)) };
+            self.between.fitted = fitted;
         } else {
             self.reconstruction = self.reconstruction.with_keyframes(&fitted);
             self.reader.positions = keyframe_positions(&self.reconstruction, &self.positions);
@@ -386,7 +380,7 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> MonocularSource<L> {
         // Gaussians are split by the depth of a keyframe.
         let is_keyframe = depth.is_some() && self.between.fitted.contains(&index);
         let posed = posed(found, index, frame, pose);
-        Ok(PosedKeyframe { depth, is_keyframe, ..posed })
+        Ok(PosedKeyframe { depth, is_keyframe, fills_depth: false, ..posed })
     }
 }
 

@@ -8,7 +8,7 @@ use super::depth_inpainting::MIN_SURFACE_OPACITY;
 use super::keyframe::Keyframe;
 use super::mapper::Mapper;
 use super::response::log_lights;
-use super::surface_pairs::{MomentSamples, View, place_within};
+use super::surface_pairs::{MomentSamples, View, place_within, spread};
 use crate::objective::blur_length;
 use crate::reconstruction::FrameEstimate;
 use i2slam_formation::blur_estimate::{PARTNERS, SharedPoint, SurfacePoint, squared_length};
@@ -24,8 +24,7 @@ const SOUGHT_BLUR: RangeInclusive<f64> = 1.0..=24.0;
 const MAX_BLUR_RATIO: f64 = 0.6;
 /// Fewest other pictures: one alone has no instrument.
 const MIN_PARTNERS: usize = 2;
-/// Most keyframes whose length is sought: of long sequences each has few final steps in which its motion
-/// would matter.
+/// Most keyframes whose length is sought: each takes as long as several steps.
 const MAX_SEARCHES: usize = 64;
 /// Blur that the path makes in a frame interval over that of the estimate, from which the estimate says less
 /// of the direction.
@@ -85,8 +84,8 @@ pub(crate) fn find_exposure_motions(
 fn searched(starts: &[MotionStart]) -> Vec<usize> {
     let sought: Vec<usize> =
         (0..starts.len()).filter(|&k| SOUGHT_BLUR.contains(&starts[k].blur)).collect();
-    let stride = sought.len().div_ceil(MAX_SEARCHES).max(1);
-    let mut searched: Vec<usize> = sought.into_iter().step_by(stride).collect();
+    let chosen = spread(sought.len(), MAX_SEARCHES);
+    let mut searched: Vec<usize> = chosen.map(|place| sought[place]).collect();
     searched.sort_by(|&a, &b| starts[a].blur.total_cmp(&starts[b].blur).then(a.cmp(&b)));
     searched
 }

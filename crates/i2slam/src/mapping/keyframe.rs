@@ -18,6 +18,8 @@ pub(crate) struct Keyframe {
     /// True if the motion during the exposure was found from pictures, and is neither stepped nor aligned
     /// any more: a blurred map would shorten it again.
     pub(crate) has_found_motion: bool,
+    /// Whether it places Gaussians where it has no depth, too, at inpainted depth.
+    pub(crate) fills_depth: bool,
 }
 
 impl Keyframe {
@@ -26,7 +28,7 @@ impl Keyframe {
         observation: Stored<Observation>,
         adjacent: AdjacentFrames,
     ) -> Self {
-        Self { frame, observation, adjacent, has_found_motion: false }
+        Self { frame, observation, adjacent, has_found_motion: false, fills_depth: true }
     }
 
     /// Motion from start to end of the exposure of this keyframe's estimate, if it was found from pictures.

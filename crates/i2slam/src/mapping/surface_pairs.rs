@@ -90,7 +90,7 @@ pub(crate) fn compare_keyframes(
 }
 
 /// At most `most` of `count` indices, evenly spread, the first and the last among them.
-fn spread(count: usize, most: usize) -> impl Iterator<Item = usize> {
+pub(super) fn spread(count: usize, most: usize) -> impl Iterator<Item = usize> {
     let chosen = count.min(most);
     (0..chosen).map(move |i| i * (count - 1) / (chosen - 1).max(1))
 }

@@ -102,7 +102,7 @@ pub(super) fn from_odometry(
     let (others, between_keyframes) = (Arc::clone(&pictures), Arc::clone(&pictures));
     let found = match &mapped {
         Some(_) => found,
-        None => with_fitted_frames(found, &pictures, options),
+        None => with_fitted_frames(found, sequence, options),
     };
     let source = found.with_pictures(size, move |place| picture(&pictures, place));
     let by_index = |(place, stamp, pose): (usize, f64, Pose<f64>)| {
@@ -207,7 +207,7 @@ fn find_path(
 /// With the frames between keyframes that Gaussians are [fitted to](crate::Config::fitted_keyframes).
 fn with_fitted_frames<L>(
     source: MonocularSource<L>,
-    sequence: &Arc<Sequence>,
+    sequence: &Sequence,
     options: &RunOptions,
 ) -> MonocularSource<L>
 where
@@ -216,13 +216,13 @@ where
     let found = source.reconstruction();
     let most = options.config.fitted_keyframes(found.keyframes.len(), found.poses.len());
     let held_out = avoided_keyframes(options, Some(sequence));
-    let index = |place: usize| sequence.entries.get(place).map_or(place, |entry| entry.index);
-    let pictures = Arc::clone(sequence);
-    source.with_fitted_frames(
-        most,
-        |place| held_out.is_held_out(index(place)),
-        move |place| picture(&pictures, place),
-    )
+    let is_measured = found.depth_model.is_some();
+    source.with_fitted_frames(most, |place| {
+        let entry = sequence.entries.get(place);
+        entry.is_some_and(|entry| {
+            !held_out.is_held_out(entry.index) && (entry.depth.is_some() || !is_measured)
+        })
+    })
 }
 
 /// Frames that the front end avoids as keyframes: those held out, of a sequence or a stream; none where

@@ -92,7 +92,7 @@ impl Session {
             true => AdjacentFrames::of_photograph(keyframe.timestamp, keyframe.exposure_motion),
             false => AdjacentFrames { before, after, ..AdjacentFrames::default() },
         };
-        let is_keyframe = keyframe.is_keyframe;
+        let PosedKeyframe { is_keyframe, fills_depth, .. } = keyframe;
         if self.position_of(keyframe.index).is_ok() {
             self.forget(&BTreeSet::from([keyframe.index]));
         }
@@ -106,7 +106,8 @@ impl Session {
             self.initialize_first_exposure();
         }
         if maps {
-            self.map_keyframe(Keyframe::new(position, observation, adjacent))?;
+            let keyframe = Keyframe::new(position, observation, adjacent);
+            self.map_keyframe(Keyframe { fills_depth, ..keyframe })?;
         }
         let estimate = &mut self.state.frames[position];
         estimate.mapping_seconds = clock.elapsed().as_secs_f64();

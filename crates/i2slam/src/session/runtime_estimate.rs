@@ -146,6 +146,7 @@ fn test_keyframe(camera: &Camera<f64>, colour: &Arc<Image<f32>>, index: usize) -
         exposure_motion: None,
         depth: Some(EstimatedDepth { depth: constant(DEPTH), variance }),
         is_keyframe: true,
+        fills_depth: true,
     }
 }
 

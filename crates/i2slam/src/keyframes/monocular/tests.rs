@@ -129,14 +129,14 @@ fn frames_between_keyframes_come_in_order_with_their_measured_depth() {
     assert!(keyframes < 14 && source.remaining() == 0);
 }
 
-/// Of fourteen frames ten are delivered as keyframes, none of them held out; with measured depth the others come,
-/// too.
+/// Of fourteen frames ten are delivered as keyframes, none of them unusable; with measured depth the others
+/// come, too.
 #[test]
 fn frames_that_a_map_is_fitted_to_come_as_keyframes() {
-    let is_held_out = |position: usize| position % 4 == 3;
+    let is_usable = |position: usize| position % 4 != 3;
     let delivered = |with_depth: bool| {
         let load = if with_depth { load_with_depth } else { load };
-        let found = find(14, load).expect("a path").with_fitted_frames(10, is_held_out, load);
+        let found = find(14, load).expect("a path").with_fitted_frames(10, is_usable);
         let found = if with_depth { found.with_frames_between(load) } else { found };
         let others = found.non_keyframes(load).count();
         let mut source = found.with_dense_depth(CancellationToken::default());

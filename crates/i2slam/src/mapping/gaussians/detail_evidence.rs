@@ -10,8 +10,9 @@
 //! F = n (n - 1) |ḡ|² / Σ_k |g_k - ḡ|²
 //! ```
 //!
-//! is about 1 by chance for many keyframes. These would tell contrasts, too, that no picture shows for its noise:
-//! |ḡ|² must be half the variance of g_k as well. Detail that is even about the middle, as a line along it, has no
+//! is about 1 by chance for many keyframes. As many keyframes find contrasts that are far below the noise of a
+//! picture, the mean of the directions g_k / |g_k| must be long as well: this is the same for keyframes from near
+//! and far, whose derivatives grow with the area in the picture. Detail that is even about the middle, as a line along it, has no
 //! such contrast.
 
 use super::scale_bounds::ScaleBounds;
@@ -21,8 +22,9 @@ use i2slam_radiance::gaussian::{GaussianMap, MapGradient};
 /// Ratio of variances from which keyframes agree. Chance exceeds it in one of 7 (two keyframes) to 135
 /// (many) where the channels err independently, in one of 3 to 22 where they err together.
 const MIN_F: f32 = 4.0;
-/// Square of the mean over the variance from which detail is worth two Gaussians.
-const MIN_SHARED_VARIANCE: f32 = 0.5;
+/// Length of the mean direction from which detail is worth two Gaussians: three of four keyframes have the same
+/// sign.
+const MIN_COHERENCE: f32 = 0.5;
 /// Parts of a candidate: bit `k` of a part is its side along long axis `k`.
 const PARTS: usize = 4;
 
@@ -32,6 +34,7 @@ struct ContrastSums {
     keyframes: usize,
     derivative: [f32; 3],
     squares: f32,
+    directions: [f32; 3],
 }
 
 impl ContrastSums {
@@ -41,9 +44,11 @@ impl ContrastSums {
             return;
         }
         self.keyframes += 1;
-        for (sum, value) in self.derivative.iter_mut().zip(derivative) {
-            *sum += value;
-            self.squares += value * value;
+        let squares: f32 = derivative.iter().map(|value| value * value).sum();
+        self.squares += squares;
+        for (k, value) in derivative.into_iter().enumerate() {
+            self.derivative[k] += value;
+            self.directions[k] += value / squares.sqrt();
         }
     }
 
@@ -54,8 +59,8 @@ impl ContrastSums {
         }
         let n = self.keyframes as f32;
         let common = self.derivative.iter().map(|sum| sum * sum).sum::<f32>() / n;
-        let different = self.squares - common;
-        common * (n - 1.0) >= MIN_F * different && common >= MIN_SHARED_VARIANCE * different
+        let coherence = self.directions.iter().map(|sum| sum * sum).sum::<f32>().sqrt() / n;
+        common * (n - 1.0) >= MIN_F * (self.squares - common) && coherence >= MIN_COHERENCE
     }
 }
 
@@ -226,16 +231,27 @@ mod tests {
             let found = evidence(&[contrasts([1.0, 1.0]), contrasts([r, r])]);
             assert_eq!([0, 2].map(|axis| found.supports(0, axis)), [agrees; 2], "{r}");
         }
-        // Six of 1 + e and 1 - e by turns have F = 5 / e², 4 at e = 1.118.
-        for (e, agrees) in [(1.10, true), (1.14, false)] {
-            let keyframes = [1.0, -1.0, 1.0, -1.0, 1.0, -1.0].map(|s| contrasts([1.0 + s * e; 2]));
+        // Five of 1 + e / √5 and one of 1 - √5 e have F = 5 / e², 4 at e = 1.118.
+        for (e, agrees) in [(1.10_f32, true), (1.14, false)] {
+            let root = 5.0_f32.sqrt();
+            let mut keyframes = vec![contrasts([1.0 + e / root; 2]); 5];
+            keyframes.push(contrasts([1.0 - root * e; 2]));
             assert_eq!(evidence(&keyframes).supports(0, 0), agrees, "{e}");
         }
-        // Of many 1 / e² is half at e = 1.414, where F would be 4 at e = 3.4.
-        for (e, agrees) in [(1.40, true), (1.43, false)] {
-            let pair = [1.0, -1.0].map(|s| contrasts([1.0 + s * e; 2]));
-            assert_eq!(evidence(&pair.repeat(24)).supports(0, 0), agrees, "{e}");
+    }
+
+    #[test]
+    fn most_keyframes_have_the_same_sign() {
+        // F is 9 where 100 of 160 agree, and 53 where 120 do.
+        for (agreeing, is_enough) in [(100, false), (119, false), (121, true)] {
+            let signs = (0..160).map(|k| if k < agreeing { 1.0 } else { -1.0 });
+            let keyframes: Vec<_> = signs.map(|sign| contrasts([sign; 2])).collect();
+            assert_eq!(evidence(&keyframes).supports(0, 0), is_enough, "{agreeing}");
         }
+        // One in ten is four times as near.
+        let nearness = (0..240).map(|k| if k % 10 == 0 { 16.0 } else { 1.0 });
+        let keyframes: Vec<_> = nearness.map(|area| contrasts([area; 2])).collect();
+        assert!(evidence(&keyframes).supports(0, 0));
     }
 
     #[test]

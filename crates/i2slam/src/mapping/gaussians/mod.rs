@@ -61,6 +61,8 @@ pub(crate) struct GaussianMapper {
     max_scale: f32,
     /// Whether the warning of a full map was given.
     is_full: bool,
+    /// Keyframes whose turn is still to come in the final steps.
+    order: Vec<usize>,
 }
 
 /// An empty map: log-radiance, or SplaTAM's raw colours with `tone` off.
@@ -88,6 +90,7 @@ impl GaussianMapper {
             scale_bounds: ScaleBounds::default(),
             max_scale: f32::INFINITY,
             is_full: false,
+            order: Vec::new(),
         }
     }
 
@@ -233,6 +236,10 @@ impl GaussianMapper {
             }
         };
         wanted.iter_mut().zip(closed).for_each(|(wanted, closed)| *wanted &= !closed);
+        if !current.fills_depth {
+            let readings = wanted.iter_mut().zip(&observation.depth.data);
+            readings.for_each(|(wanted, depth)| *wanted &= *depth > 0.0);
+        }
         let is_keyframe = context.is_keyframe(current.frame);
         let map = &mut self.current.map;
         match map.shape {
@@ -407,13 +414,16 @@ impl Mapper for GaussianMapper {
                 self.add_view_colours(context);
             }
         }
-        let (mut order, mut continues): (Vec<usize>, bool) = (Vec::new(), true);
+        let mut continues = true;
+        if steps.start == 0 {
+            self.order.clear();
+        }
         for step in steps {
-            if order.is_empty() {
-                order = (0..context.keyframes.len()).collect();
-                context.random.shuffle(&mut order);
+            if self.order.is_empty() {
+                self.order = (0..context.keyframes.len()).collect();
+                context.random.shuffle(&mut self.order);
             }
-            let Some(next) = order.pop() else { break };
+            let Some(next) = self.order.pop() else { break };
             let keyframe = context.keyframes[next].clone();
             let share = match self.current.map.shape {
                 Shape::Isotropic => 1.0,
