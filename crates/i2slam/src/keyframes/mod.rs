@@ -48,7 +48,7 @@ pub struct PosedKeyframe {
     /// Whether later mapping steps may render it again. A frame between keyframes is rendered only
     /// by the steps that follow its own insertion.
     pub is_keyframe: bool,
-    /// Whether Gaussians are placed where it has no depth, too, at inpainted depth
+    /// True if Gaussians are placed where it has no depth, too, at inpainted depth
     /// (`mapping.fill_depth`).
     pub fills_depth: bool,
 }

@@ -18,7 +18,7 @@ pub(crate) struct Keyframe {
     /// True if the motion during the exposure was found from pictures, and is neither stepped nor aligned
     /// any more: a blurred map would shorten it again.
     pub(crate) has_found_motion: bool,
-    /// Whether it places Gaussians where it has no depth, too, at inpainted depth.
+    /// True if it places Gaussians where it has no depth, too, at inpainted depth.
     pub(crate) fills_depth: bool,
 }
 
