@@ -156,6 +156,20 @@ fn frames_that_a_map_is_fitted_to_come_as_keyframes() {
 }
 
 #[test]
+fn frames_whose_depth_is_missing_are_no_keyframes() {
+    let found = find(14, load_with_depth).expect("a path");
+    let keyframes = found.reconstruction().keyframes.len();
+    let mut source = found
+        .with_fitted_frames(14, |_| true)
+        .with_frames_between(load)
+        .with_dense_depth(CancellationToken::default());
+    let next = || source.next_keyframe();
+    let frames: Vec<PosedKeyframe> = std::iter::from_fn(next).map(Result::unwrap).collect();
+    let delivered = frames.iter().filter(|frame| frame.is_keyframe).count();
+    assert_eq!((frames.len(), delivered), (14, keyframes));
+}
+
+#[test]
 fn keyframes_may_be_smaller_than_the_odometry_pictures() {
     let small = camera().resized(80, 60);
     let found = find(14, load).expect("a path");
