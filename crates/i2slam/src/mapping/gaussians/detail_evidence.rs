@@ -12,8 +12,8 @@
 //!
 //! is about 1 by chance for many keyframes. As many keyframes find contrasts that are far below the noise of a
 //! picture, the mean of the directions g_k / |g_k| must be long as well: this is the same for keyframes from near
-//! and far, whose derivatives grow with the area in the picture. Detail that is even about the middle, as a line along it, has no
-//! such contrast.
+//! and far, whose derivatives grow with the area in the picture. Detail that is even about the middle, as a line
+//! along it, has no such contrast.
 
 use super::scale_bounds::ScaleBounds;
 use super::splitting::{HALF, MIN_SPLIT_DEVIATION, axes};
@@ -40,11 +40,11 @@ struct ContrastSums {
 impl ContrastSums {
     /// Adds a keyframe, unless its picture tells nothing there, as where it is clipped.
     fn add(&mut self, derivative: [f32; 3]) {
-        if derivative == [0.0; 3] {
+        let squares: f32 = derivative.iter().map(|value| value * value).sum();
+        if squares == 0.0 {
             return;
         }
         self.keyframes += 1;
-        let squares: f32 = derivative.iter().map(|value| value * value).sum();
         self.squares += squares;
         for (k, value) in derivative.into_iter().enumerate() {
             self.derivative[k] += value;
@@ -259,7 +259,11 @@ mod tests {
         let see = contrasts([1.0, 1.0]);
         assert!(evidence(&[see, see]).supports(0, 0));
         assert!(!evidence(&[]).supports(0, 0) && !evidence(&[see]).supports(0, 0));
-        // A keyframe without a derivative is none, and one smaller than a pixel is not looked at.
+        // A keyframe without a derivative is none, nor one whose square is not told from zero; a Gaussian smaller
+        // than a pixel is not looked at.
+        let faint = contrasts([1e-30; 2]);
+        assert!(!evidence(&[see, faint]).supports(0, 0));
+        assert!(evidence(&[see, see, faint]).supports(0, 0));
         let blank = [0.0; PARTS];
         assert!(!evidence(&[see, blank]).supports(0, 0) && !evidence(&[blank; 3]).supports(0, 0));
         assert!(
