@@ -67,6 +67,22 @@ impl<T: Real> CameraResponse<T> {
         Self { spacing, grid: Arc::new(Grid::new(spacing)), ..self.clone() }
     }
 
+    /// The response whose linear values are those of this one, raised to a power for each of its curves; it is
+    /// interpolated between the nodes.
+    ///
+    /// # Panics
+    /// With another number of powers than curves.
+    pub fn raised_by_channel(&self, powers: &[f64]) -> Self {
+        assert_eq!(powers.len(), self.nodes.len(), "one power for each curve");
+        let curve = self.curve();
+        let value = |channel: usize, node: usize| {
+            let position = self.spacing.position(node).powf(powers[channel].recip());
+            curve.evaluate(channel, T::of(position))
+        };
+        let nodes = (0..powers.len()).map(|c| (0..NODES).map(|i| value(c, i)).collect()).collect();
+        Self { nodes, ..self.clone() }
+    }
+
     /// Spacing of the nodes.
     pub fn spacing(&self) -> NodeSpacing {
         self.spacing

@@ -233,3 +233,17 @@ fn power_spacing_puts_the_nodes_evenly_in_display_space() {
     assert_close("display values", &display, &even, 1e-12);
     assert!(spacing.position(1) < 1e-5 && NodeSpacing::Uniform.position(51) == 0.2);
 }
+
+#[test]
+fn linear_values_of_each_channel_are_raised_to_its_power() {
+    let response = CameraResponse::<f64>::new(3, StartCurve::Shoulder, NodeSpacing::Power(2.2));
+    let powers = [0.96, 1.0, 1.05];
+    let (before, after) = (response.curve(), response.raised_by_channel(&powers).curve());
+    for (channel, power) in powers.into_iter().enumerate() {
+        for value in [0.03, 0.1, 0.3, 0.6, 0.9, 0.99] {
+            let due = power * before.inverse(channel, value).ln();
+            let found = after.inverse(channel, value).ln();
+            assert!((found - due).abs() < 1e-3, "{channel} {value}: {found} {due}");
+        }
+    }
+}

@@ -10,7 +10,7 @@ use super::context::MappingContext;
 use super::frame_gains::{ChannelPairs, apply_gains, solve_gains};
 use super::mapper::Mapper;
 use super::surface_pairs::{ComparedViews, PLACE_DEVIATION, PictureSample, SamplePair};
-use super::white_balance::is_white_balance_constant;
+use super::white_balance::{WhiteBalanceCourse, find_white_balance};
 use crate::config::{Config, ResponseScope};
 use crate::reconstruction::FrameEstimate;
 use i2slam_formation::blur_estimate::{BlurredPicture, BlurredPixel, MOMENTS, estimate_power};
@@ -76,9 +76,8 @@ pub(crate) fn find_tone(
     let gauge = context.keyframes.first().map_or(0, |keyframe| keyframe.frame);
     let points = PairedValues::new(compared, lens);
     let next = next_response(context, (&points, blurred), lens, gauge);
+    let (next, is_constant) = balance_channels(context, (compared, &points), next, gauge);
     let curve = next.as_ref().map_or_else(|| former.clone(), CameraResponse::curve);
-    let is_free = context.config.formation.white_balance == WhiteBalanceModel::PerChannel;
-    let is_constant = is_free.then(|| is_white_balance_constant(compared, &curve, gauge)).flatten();
     let model = match is_constant {
         Some(true) => WhiteBalanceModel::Fixed,
         Some(false) => WhiteBalanceModel::PerChannel,
@@ -112,6 +111,34 @@ pub(crate) fn find_tone(
     let has_response = next.is_some();
     next.into_iter().for_each(|next| context.responses[0] = next);
     FoundTone { has_response, has_constant_white_balance: is_constant }
+}
+
+/// The next response, if there is one, with the powers of its channels by which white balance is constant,
+/// and whether it is; `None` where pictures do not tell, or it is not sought.
+fn balance_channels(
+    context: &MappingContext<'_>,
+    (compared, points): (&[ComparedViews], &PairedValues),
+    next: Option<CameraResponse<f32>>,
+    gauge_frame: usize,
+) -> (Option<CameraResponse<f32>>, Option<bool>) {
+    if context.config.formation.white_balance != WhiteBalanceModel::PerChannel {
+        return (next, None);
+    }
+    let response = next.as_ref().unwrap_or(&context.responses[0]);
+    let curve = response.curve();
+    // One curve for all channels has one power.
+    let log_exposures = match response.nodes.len() {
+        3 => points.log_exposures(&curve, gauge_frame),
+        _ => BTreeMap::new(),
+    };
+    match find_white_balance(compared, &curve, &log_exposures, gauge_frame) {
+        Some(WhiteBalanceCourse::Constant { powers }) if powers != [1.0; 3] => {
+            (Some(response.raised_by_channel(&powers)), Some(true))
+        }
+        Some(WhiteBalanceCourse::Constant { .. }) => (next, Some(true)),
+        Some(WhiteBalanceCourse::Changing) => (next, Some(false)),
+        None => (next, None),
+    }
 }
 
 /// The response by points that frames of different exposure show, its power by blur; `None` where pictures
@@ -280,6 +307,18 @@ impl PairedValues {
         let of_channel = |c: usize| deviation_by_response(&self.points[c], (curve, c));
         let all: Vec<f64> = (0..3).filter_map(of_channel).collect();
         (!all.is_empty()).then(|| all.iter().sum::<f64>() / all.len() as f64)
+    }
+
+    /// Logarithms of the exposures of frames by a response; none where they are too much alike to tell it.
+    fn log_exposures(
+        &self,
+        curve: &ResponseCurve<f32>,
+        gauge_frame: usize,
+    ) -> BTreeMap<usize, f64> {
+        let gains = self.gains(curve, gauge_frame, &[]);
+        let is_observable = range_in_stops(&gains) >= MIN_EXPOSURE_RANGE;
+        let [_, green, _] = gains;
+        if is_observable { green } else { BTreeMap::new() }
     }
 
     /// Gains of the frames by a response; `tones` are those known so far.

@@ -15,6 +15,11 @@
 //! ```text
 //! change² = mean(a b)        error² = mean((a - b)²) / 4
 //! ```
+//!
+//! Pictures of different exposure tell the response of each channel up to a power of its own, and blur
+//! tells the one that all have in common. A channel whose power is `1 + k` times that of green makes a
+//! constant white balance follow the exposure, ln (channel/green) = `k` ln exposure. Where nothing but
+//! such a line changes, white balance is constant, and the channels are raised to the powers that make it so.
 
 use super::frame_gains::{Difference, solve_differences};
 use super::response::{COMPARED, log_linear};
@@ -25,28 +30,62 @@ use std::collections::BTreeMap;
 /// Change of white balance over its error from which on it counts as one: gloss and coloured shadows bend
 /// both halves alike.
 const MIN_CHANGE: f64 = 1.5;
+/// Largest `k`: published responses differ by less from channel to channel. Beyond, white balance changes
+/// as exposure does, as on the way from a lamp to a window.
+const MAX_POWER_DIFFERENCE: f64 = 0.05;
 /// Keyframes from which on a constant white balance can be told.
 const MIN_FRAMES: usize = 6;
 const RED: usize = 0;
 const GREEN: usize = 1;
 const BLUE: usize = 2;
 
-/// True if the compared keyframes have one white balance, as far as their pictures tell; `None` where they
-/// do not.
-pub(super) fn is_white_balance_constant(
+/// What pictures tell of the white balance of keyframes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum WhiteBalanceCourse {
+    /// It is the same in all, once the linear values of the channels are raised to these powers.
+    Constant {
+        powers: [f64; 3],
+    },
+    Changing,
+}
+
+/// How the white balance of the compared keyframes changes, as far as their pictures tell; `None` where
+/// they do not. `log_exposure` has the logarithms of their exposures; none where these are too much alike.
+pub(super) fn find_white_balance(
     compared: &[ComparedViews],
     curve: &ResponseCurve<f32>,
+    log_exposure: &BTreeMap<usize, f64>,
     gauge_frame: usize,
-) -> Option<bool> {
+) -> Option<WhiteBalanceCourse> {
     let changes = [RED, BLUE].map(|channel| Changes::new(compared, curve, channel, gauge_frame));
     let frames = changes.iter().map(|changes| changes.0.len()).min()?;
+    if frames < MIN_FRAMES {
+        return None;
+    }
+    if is_constant(&changes) {
+        return Some(WhiteBalanceCourse::Constant { powers: [1.0; 3] });
+    }
+    let slopes = changes.each_ref().map(|changes| changes.slope(log_exposure));
+    let [Some(red), Some(blue)] = slopes else { return Some(WhiteBalanceCourse::Changing) };
+    let without = [(0, red), (1, blue)].map(|(i, k)| changes[i].without(k, log_exposure));
+    let is_small = red.abs().max(blue.abs()) <= MAX_POWER_DIFFERENCE;
+    if !(is_small && is_constant(&without)) {
+        return Some(WhiteBalanceCourse::Changing);
+    }
+    let powers = [red, 0.0, blue].map(|k| (1.0 + k).recip());
+    // The power in common stays.
+    let mean = powers.iter().sum::<f64>() / 3.0;
+    Some(WhiteBalanceCourse::Constant { powers: powers.map(|power| power / mean) })
+}
+
+/// True if red and blue over green change by no more than their errors.
+fn is_constant(changes: &[Changes; 2]) -> bool {
     let mean = |of: fn(&Changes) -> f64| 0.5 * changes.iter().map(of).sum::<f64>();
-    let [change, error] = [mean(Changes::square), mean(Changes::squared_error)];
-    (frames >= MIN_FRAMES).then(|| change < MIN_CHANGE.powi(2) * error)
+    mean(Changes::square) < MIN_CHANGE.powi(2) * mean(Changes::squared_error)
 }
 
 /// Logarithms of a channel over green in frames, around their means, by either half of the points.
-struct Changes(Vec<[f64; 2]>);
+struct Changes(BTreeMap<usize, [f64; 2]>);
 
 impl Changes {
     fn new(
@@ -66,21 +105,51 @@ impl Changes {
             solve_differences(&differences, gauge_frame, |_| 0.0)
         };
         let [first, second] = [0, 1].map(of_half);
-        let both = first.iter().filter_map(|(frame, a)| Some([*a, *second.get(frame)?]));
-        let both: Vec<[f64; 2]> = both.collect();
-        let mean = |half: usize| both.iter().map(|v| v[half]).sum::<f64>() / both.len() as f64;
+        let both = first.iter().filter_map(|(frame, a)| Some((*frame, [*a, *second.get(frame)?])));
+        let both: BTreeMap<usize, [f64; 2]> = both.collect();
+        let mean = |half: usize| both.values().map(|v| v[half]).sum::<f64>() / both.len() as f64;
         let means = [mean(0), mean(1)];
-        Self(both.iter().map(|v| [v[0] - means[0], v[1] - means[1]]).collect())
+        let centred =
+            |(frame, v): (&usize, &[f64; 2])| (*frame, [v[0] - means[0], v[1] - means[1]]);
+        Self(both.iter().map(centred).collect())
     }
 
     /// Square of the change that both halves agree on.
     fn square(&self) -> f64 {
-        self.0.iter().map(|[a, b]| a * b).sum::<f64>() / self.0.len() as f64
+        self.0.values().map(|[a, b]| a * b).sum::<f64>() / self.0.len() as f64
     }
 
     /// Square of the error of the halves' mean.
     fn squared_error(&self) -> f64 {
-        self.0.iter().map(|[a, b]| 0.25 * (a - b).powi(2)).sum::<f64>() / self.0.len() as f64
+        self.0.values().map(|[a, b]| 0.25 * (a - b).powi(2)).sum::<f64>() / self.0.len() as f64
+    }
+
+    /// Changes for each change of the logarithm of exposure; `None` where exposures of frames are unknown
+    /// or all the same.
+    fn slope(&self, log_exposure: &BTreeMap<usize, f64>) -> Option<f64> {
+        let exposure = self.centred_exposure(log_exposure)?;
+        let square: f64 = exposure.values().map(|e| e * e).sum();
+        let both = self.0.iter().map(|(frame, [a, b])| 0.5 * (a + b) * exposure[frame]);
+        (square > 0.0).then(|| both.sum::<f64>() / square)
+    }
+
+    /// Those that do not follow the exposure with a slope.
+    fn without(&self, slope: f64, log_exposure: &BTreeMap<usize, f64>) -> Self {
+        let exposure = self.centred_exposure(log_exposure).unwrap_or_default();
+        let followed = |frame: &usize| slope * exposure.get(frame).copied().unwrap_or(0.0);
+        let rest = |(frame, v): (&usize, &[f64; 2])| (*frame, v.map(|v| v - followed(frame)));
+        Self(self.0.iter().map(rest).collect())
+    }
+
+    /// Exposure of the frames about its mean; `None` if that of one is unknown.
+    fn centred_exposure(
+        &self,
+        log_exposure: &BTreeMap<usize, f64>,
+    ) -> Option<BTreeMap<usize, f64>> {
+        let known = self.0.keys().map(|frame| Some((*frame, *log_exposure.get(frame)?)));
+        let known = known.collect::<Option<BTreeMap<usize, f64>>>()?;
+        let mean = known.values().sum::<f64>() / known.len() as f64;
+        Some(known.into_iter().map(|(frame, exposure)| (frame, exposure - mean)).collect())
     }
 }
 
@@ -100,20 +169,32 @@ fn contrast(pair: &SamplePair, curve: &ResponseCurve<f32>, channel: usize) -> Op
 mod tests {
     use super::super::surface_pairs::tests::{Gains, compared_views, curve};
     use super::*;
-    use i2slam_formation::Vignetting;
+    use i2slam_formation::{CameraResponse, NodeSpacing, StartCurve, Vignetting};
 
     fn views(count: usize, stops: f32, red: f32) -> Vec<ComparedViews> {
         let lens = Vignetting { coefficients: [-0.3, 0.0, 0.0] };
         compared_views(count, &lens, Gains { stops, red })
     }
 
+    /// Logarithms of the exposures of [`views`].
+    fn log_exposure(stops: f32) -> BTreeMap<usize, f64> {
+        let of_view = |at: usize| f64::from(stops) * 2.0_f64.ln() * (3.0 * at as f64).sin();
+        (0..7).map(|at| (at, of_view(at))).collect()
+    }
+
+    fn course(compared: &[ComparedViews], stops: f32) -> Option<WhiteBalanceCourse> {
+        find_white_balance(compared, &curve(), &log_exposure(stops), 0)
+    }
+
+    const CONSTANT: WhiteBalanceCourse = WhiteBalanceCourse::Constant { powers: [1.0; 3] };
+
     #[test]
     fn a_change_of_white_balance_is_told_from_exposure() {
         for stops in [0.0, 1.2] {
-            assert_eq!(is_white_balance_constant(&views(7, stops, 0.0), &curve(), 0), Some(true));
+            assert_eq!(course(&views(7, stops, 0.0), stops), Some(CONSTANT));
             for red in [0.03, 0.1] {
                 let compared = views(7, stops, red);
-                assert_eq!(is_white_balance_constant(&compared, &curve(), 0), Some(false));
+                assert_eq!(course(&compared, stops), Some(WhiteBalanceCourse::Changing));
                 let found = Changes::new(&compared, &curve(), RED, 0).square().sqrt();
                 // The deviation of seven cosines.
                 let due = 0.74 * f64::from(red);
@@ -122,12 +203,41 @@ mod tests {
         }
     }
 
+    /// The true response, but for the powers of red and blue.
+    fn bent(red: f64, blue: f64) -> ResponseCurve<f32> {
+        CameraResponse::new(3, StartCurve::Shoulder, NodeSpacing::Power(2.2))
+            .raised_by_channel(&[red, 1.0, blue])
+            .curve()
+    }
+
+    #[test]
+    fn a_white_balance_that_follows_the_exposure_is_that_of_a_wrong_response() {
+        let (compared, exposure) = (views(7, 1.2, 0.0), log_exposure(1.2));
+        let find = |curve: &ResponseCurve<f32>, exposure| {
+            find_white_balance(&compared, curve, exposure, 0)
+        };
+        let found = find(&bent(1.04, 0.97), &exposure);
+        let Some(WhiteBalanceCourse::Constant { powers }) = found else { panic!("{found:?}") };
+        let due = [1.0 / 1.04, 1.0, 1.0 / 0.97];
+        for (power, due) in powers.iter().zip(due) {
+            // The mean of the three is 1.
+            assert!((power / powers[1] - due).abs() < 0.006, "{powers:?}");
+        }
+        assert!((powers.iter().sum::<f64>() / 3.0 - 1.0).abs() < 1e-9);
+        // Farther apart than channels are, of exposures that tell nothing, or of a change besides.
+        let changing = Some(WhiteBalanceCourse::Changing);
+        assert_eq!(find(&bent(1.1, 1.0), &exposure), changing);
+        assert_eq!(find(&bent(1.04, 0.97), &BTreeMap::new()), changing);
+        let drifting = views(7, 1.2, 0.03);
+        assert_eq!(find_white_balance(&drifting, &bent(1.04, 0.97), &exposure, 0), changing);
+    }
+
     #[test]
     fn few_frames_tell_nothing() {
-        assert_eq!(is_white_balance_constant(&views(5, 0.3, 0.1), &curve(), 0), None);
+        assert_eq!(course(&views(5, 0.3, 0.1), 0.3), None);
         let mut apart = views(7, 0.3, 0.1);
         apart.iter_mut().for_each(|views| views.points.truncate(60));
-        assert_eq!(is_white_balance_constant(&apart, &curve(), 0), None);
-        assert_eq!(is_white_balance_constant(&[], &curve(), 0), None);
+        assert_eq!(course(&apart, 0.3), None);
+        assert_eq!(course(&[], 0.3), None);
     }
 }
