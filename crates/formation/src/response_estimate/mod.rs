@@ -35,8 +35,11 @@ use i2slam_compute::{SIGMA_PER_MEDIAN, median, solve_positive_definite};
 use log_response::{COUNT, KNOTS, log_slopes};
 use rayon::prelude::*;
 
-/// Steps of Gauss-Newton, weights renewed with each.
+/// Steps of Gauss-Newton at most, weights renewed with each, and dampings that each tries.
 const STEPS: usize = 20;
+const TRIES: usize = 6;
+/// Change of every `d` below which a step is the last.
+const MIN_STEP: f64 = 1e-3;
 /// Standard deviation of the change of `d` from one knot to the next: of the order of what tells
 /// published responses apart.
 const WALK_DEVIATION: f64 = 0.3;
@@ -125,15 +128,21 @@ pub fn estimate(groups: &[Vec<ValuePair>], repeats: f64, start: StartCurve) -> O
         let objective = Objective { groups: &groups, weights, scale, share };
         let system = objective.normal_equations(&best);
         let cost = objective.cost(&best);
-        for _ in 0..6 {
+        let mut largest_change = 0.0;
+        for _ in 0..TRIES {
             let offsets = system.step(best.offsets(), damping)?;
             let next = LogResponse::new(&start, offsets);
             if objective.cost(&next) <= cost {
+                let changes = best.offsets().iter().zip(next.offsets()).map(|(a, b)| (a - b).abs());
+                largest_change = changes.fold(0.0, f64::max);
                 best = next;
                 damping *= 0.3;
                 break;
             }
             damping *= 10.0;
+        }
+        if largest_change < MIN_STEP {
+            break;
         }
     }
     best.offsets().iter().all(|d| d.is_finite()).then_some(best)

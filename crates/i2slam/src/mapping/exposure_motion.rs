@@ -4,18 +4,19 @@
 //! it moved; the length follows from the pictures alone, see [`i2slam_formation::blur_estimate`].
 
 use super::context::MappingContext;
-use super::depth_inpainting::MIN_SURFACE_OPACITY;
 use super::keyframe::Keyframe;
 use super::mapper::Mapper;
 use super::response::log_lights;
-use super::surface_pairs::{MomentSamples, View, place_within, spread};
+use super::surface_pairs::{MomentSamples, View, place_within, spread, surface_of};
 use crate::objective::blur_length;
 use crate::reconstruction::FrameEstimate;
 use i2slam_formation::blur_estimate::{PARTNERS, SharedPoint, SurfacePoint, squared_length};
 use i2slam_formation::{CentreVelocity, ResponseCurve, ShutterPoses, Vignetting};
 use i2slam_geometry::{Camera, Image, Tangent};
 use rayon::prelude::*;
+use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
+use std::sync::Arc;
 
 /// Blur of which a length is sought \[px\]: shorter ones change nothing, along longer ones twelve moments lie
 /// too far apart.
@@ -33,6 +34,8 @@ const MAX_PATH_RATIO: f64 = 2.0;
 const MAX_OPEN_SHARE: f64 = 1.1;
 /// Pixels of a picture, about.
 const PIXELS: usize = 4000;
+/// Pixels of surfaces that are kept, at most; others are rendered each time.
+const MAX_KEPT_PIXELS: usize = 1 << 24;
 /// Most rounds in which pictures are sampled along the motion found so far.
 const MAX_ROUNDS: usize = 6;
 /// Bounds of the square of a length over that of the round before, and its distance from 1 at the end.
@@ -59,18 +62,29 @@ pub(crate) fn find_exposure_motions(
     timing: Timing,
 ) -> Vec<usize> {
     let cancellation = context.cancellation;
-    let keyframes = context.keyframes.iter().take_while(|_| !cancellation.is_cancelled());
-    let starts: Vec<MotionStart> = keyframes
-        .map(|keyframe| MotionStart::new(mapper, context, keyframe, timing).unwrap_or_default())
+    let mut surfaces = KeyframeSurfaces::default();
+    let start = |keyframe| {
+        let surface = surfaces.get(mapper, context, keyframe)?;
+        Some(MotionStart::new(context, &context.keyframes[keyframe], &surface, timing))
+    };
+    let starts: Vec<MotionStart> = (0..context.keyframes.len())
+        .take_while(|_| !cancellation.is_cancelled())
+        .map(start)
+        .map(Option::unwrap_or_default)
         .collect();
     let mut max_blur: Vec<f64> = starts.iter().map(MotionStart::max_blur).collect();
     let mut found = Vec::new();
     for keyframe in searched(&starts).into_iter().take_while(|_| !cancellation.is_cancelled()) {
         let start = &starts[keyframe];
         let partners = partners(keyframe, &max_blur, MAX_BLUR_RATIO * start.blur);
-        let length = (partners.len() >= MIN_PARTNERS)
-            .then(|| start.relative_length(mapper, context, keyframe, &partners, lens));
-        let Some(length) = length.flatten() else { continue };
+        if partners.len() < MIN_PARTNERS {
+            continue;
+        }
+        let mut view = |k| surfaces.view(mapper, context, k);
+        let others = partners.into_iter().map(&mut view).collect::<Option<Vec<View>>>();
+        let views = view(keyframe).zip(others);
+        let length = views.and_then(|views| start.relative_length(context, views, lens));
+        let Some(length) = length else { continue };
         max_blur[keyframe] = start.blur * length;
         if max_blur[keyframe] >= *SOUGHT_BLUR.start() {
             start.apply(&mut context.frames[context.keyframes[keyframe].frame], length);
@@ -78,6 +92,43 @@ pub(crate) fn find_exposure_motions(
         }
     }
     found
+}
+
+/// Surfaces of the map as keyframes see them, most of which are asked for several times.
+#[derive(Default)]
+struct KeyframeSurfaces {
+    /// By the place of the keyframe among all.
+    kept: BTreeMap<usize, Arc<Image<f32>>>,
+    pixels: usize,
+}
+
+impl KeyframeSurfaces {
+    fn get(
+        &mut self,
+        mapper: &mut dyn Mapper,
+        context: &MappingContext<'_>,
+        keyframe: usize,
+    ) -> Option<Arc<Image<f32>>> {
+        if let Some(surface) = self.kept.get(&keyframe) {
+            return Some(Arc::clone(surface));
+        }
+        let surface = Arc::new(surface_of(mapper, context, &context.keyframes[keyframe])?);
+        if self.pixels + surface.data.len() <= MAX_KEPT_PIXELS {
+            self.pixels += surface.data.len();
+            self.kept.insert(keyframe, Arc::clone(&surface));
+        }
+        Some(surface)
+    }
+
+    fn view(
+        &mut self,
+        mapper: &mut dyn Mapper,
+        context: &MappingContext<'_>,
+        keyframe: usize,
+    ) -> Option<View> {
+        let surface = self.get(mapper, context, keyframe)?;
+        Some(View::with_surface(context, &context.keyframes[keyframe], surface))
+    }
 }
 
 /// Keyframes whose length is sought, spread over time, from the least blurred on.
@@ -129,17 +180,16 @@ impl MotionStart {
     /// The estimate so far, or one along the path where that moves by far more: a blurred map shortens
     /// motions, down to none.
     fn new(
-        mapper: &mut dyn Mapper,
         context: &MappingContext<'_>,
         keyframe: &Keyframe,
+        surface: &Image<f32>,
         Timing { readout, frame_rate }: Timing,
-    ) -> Option<Self> {
+    ) -> Self {
         let estimate = &context.frames[keyframe.frame];
         let centre = estimate.middle();
-        let surface = mapper.render(centre)?.surface(MIN_SURFACE_OPACITY);
         let blur_of = |velocity| {
             let shutter: ShutterPoses<f64> = CentreVelocity { centre, velocity }.into();
-            blur_length(context.camera, &shutter, &surface)
+            blur_length(context.camera, &shutter, surface)
         };
         let velocity = CentreVelocity::from(estimate.shutter).velocity;
         let step = keyframe.adjacent.motion_per_interval(estimate.timestamp, frame_rate);
@@ -153,11 +203,11 @@ impl MotionStart {
         };
         let Some((step, path_blur)) = path.filter(|path| path.1 > MAX_PATH_RATIO * known.blur)
         else {
-            return Some(known);
+            return known;
         };
         let blur = known.blur.max(*SOUGHT_BLUR.start()).min(path_blur);
         let start = Self { velocity: step.scaled(blur / path_blur), blur, ..known };
-        Some(Self { readout: start.readout_of(1.0), ..start })
+        Self { readout: start.readout_of(1.0), ..start }
     }
 
     /// Blur that the picture may have without the map's saying so.
@@ -175,18 +225,15 @@ impl MotionStart {
         }
     }
 
-    /// Length of the motion of a keyframe over that of this start; `None` where its pictures do not tell.
+    /// Length of the motion of a keyframe over that of this start, by others; `None` where their pictures do
+    /// not tell.
     fn relative_length(
         &self,
-        mapper: &mut dyn Mapper,
         context: &MappingContext<'_>,
-        keyframe: usize,
-        partners: &[usize],
+        (own, others): (View, Vec<View>),
         lens: Vignetting<f32>,
     ) -> Option<f64> {
-        let mut view = |k: usize| View::new(mapper, context, &context.keyframes[k]);
-        let own = view(keyframe)?.with_motion(self.velocity, self.readout);
-        let others = partners.iter().map(|&k| view(k)).collect::<Option<Vec<View>>>()?;
+        let own = own.with_motion(self.velocity, self.readout);
         let (camera, valid_mask) = (context.camera, context.valid_mask);
         let pictures = Pictures { camera, valid_mask, curve: context.responses[0].curve(), lens };
         let (length, deviation) = pictures.relative_length(own, &others)?;

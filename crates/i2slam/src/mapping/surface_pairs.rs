@@ -113,6 +113,17 @@ fn compare(
     pairs.par_iter().map(of_pair).collect()
 }
 
+/// Depth \[m\] of the surface that the map shows from a keyframe at mid-exposure, 0 without one; `None`
+/// without a map.
+pub(super) fn surface_of(
+    mapper: &mut dyn Mapper,
+    context: &MappingContext<'_>,
+    keyframe: &Keyframe,
+) -> Option<Image<f32>> {
+    let pose = context.frames[keyframe.frame].middle();
+    Some(mapper.render(pose)?.surface(MIN_SURFACE_OPACITY))
+}
+
 /// A keyframe, and the surface that the map shows from its pose.
 pub(super) struct View {
     world_from_camera: Pose<f64>,
@@ -122,7 +133,7 @@ pub(super) struct View {
     /// Time from the first to the last row \[exposures\].
     readout: f64,
     /// Depth at mid-exposure \[m\]; 0 without a surface.
-    surface: Image<f32>,
+    surface: Arc<Image<f32>>,
     observation: Arc<Observation>,
     /// Place among all frames.
     frame: usize,
@@ -134,17 +145,27 @@ impl View {
         context: &MappingContext<'_>,
         keyframe: &Keyframe,
     ) -> Option<Self> {
+        let surface = surface_of(mapper, context, keyframe)?;
+        Some(Self::with_surface(context, keyframe, Arc::new(surface)))
+    }
+
+    /// A keyframe with the [surface](surface_of) that the map shows from its pose.
+    pub(super) fn with_surface(
+        context: &MappingContext<'_>,
+        keyframe: &Keyframe,
+        surface: Arc<Image<f32>>,
+    ) -> Self {
         let estimate = &context.frames[keyframe.frame];
         let world_from_camera = estimate.middle();
-        Some(Self {
+        Self {
             world_from_camera,
             camera_from_world: world_from_camera.inverse(),
             velocity: CentreVelocity::from(estimate.shutter).velocity,
             readout: estimate.readout,
-            surface: mapper.render(world_from_camera)?.surface(MIN_SURFACE_OPACITY),
+            surface,
             observation: keyframe.observation.get(),
             frame: keyframe.frame,
-        })
+        }
     }
 
     /// Points of the surface in the world.
@@ -374,7 +395,7 @@ pub(super) mod tests {
             velocity,
             readout: 0.0,
             observation: Arc::new(Observation::new(picture, surface.clone())),
-            surface,
+            surface: Arc::new(surface),
             frame,
         }
     }
@@ -396,7 +417,8 @@ pub(super) mod tests {
     #[test]
     fn hidden_points_do_not_count() {
         let mut hidden = views(6, &Vignetting::default());
-        hidden[2..].iter_mut().flat_map(|v| &mut v.surface.data).for_each(|d| *d *= 1.1);
+        let surfaces = hidden[2..].iter_mut().map(|view| Arc::make_mut(&mut view.surface));
+        surfaces.flat_map(|surface| &mut surface.data).for_each(|d| *d *= 1.1);
         let points = hidden[0].points(&CAMERA, None);
         let seen = |view: &View| {
             points.iter().filter(|(p, _)| view.sample_of(&CAMERA, None, *p).is_some()).count()
