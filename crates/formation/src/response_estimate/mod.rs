@@ -38,8 +38,9 @@ use rayon::prelude::*;
 /// Steps of Gauss-Newton at most, weights renewed with each, and dampings that each tries.
 const STEPS: usize = 20;
 const TRIES: usize = 6;
-/// Change of every `d` below which a step is the last.
+/// Change of every `d` below which a step is the last, and damping beyond which none is tried.
 const MIN_STEP: f64 = 1e-3;
+const MAX_DAMPING: f64 = 1e3;
 /// Standard deviation of the change of `d` from one knot to the next: of the order of what tells
 /// published responses apart.
 const WALK_DEVIATION: f64 = 0.3;
@@ -128,20 +129,25 @@ pub fn estimate(groups: &[Vec<ValuePair>], repeats: f64, start: StartCurve) -> O
         let objective = Objective { groups: &groups, weights, scale, share };
         let system = objective.normal_equations(&best);
         let cost = objective.cost(&best);
-        let mut largest_change = 0.0;
+        let mut change = None;
         for _ in 0..TRIES {
             let offsets = system.step(best.offsets(), damping)?;
             let next = LogResponse::new(&start, offsets);
             if objective.cost(&next) <= cost {
                 let changes = best.offsets().iter().zip(next.offsets()).map(|(a, b)| (a - b).abs());
-                largest_change = changes.fold(0.0, f64::max);
+                change = Some(changes.fold(0.0, f64::max));
                 best = next;
                 damping *= 0.3;
                 break;
             }
             damping *= 10.0;
         }
-        if largest_change < MIN_STEP {
+        // A short step under strong damping says nothing.
+        let is_converged = match change {
+            Some(change) => change < MIN_STEP && damping < 1.0,
+            None => damping > MAX_DAMPING,
+        };
+        if is_converged {
             break;
         }
     }

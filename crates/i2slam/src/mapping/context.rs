@@ -37,6 +37,8 @@ pub(crate) struct MappingContext<'a> {
     /// Whether the responses were found from pictures, and are no longer stepped: steps bend them as a
     /// whole, which pictures hardly tell from a change of radiance and exposures.
     pub(crate) has_found_response: bool,
+    /// Powers of the response's channels over one that all have in common.
+    pub(crate) channel_powers: [f64; 3],
     /// True if white balance was found from pictures, and is no longer stepped: a step of Adam is as long
     /// at the optimum as far from it.
     pub(crate) has_found_white_balance: bool,

@@ -10,7 +10,7 @@ use super::context::MappingContext;
 use super::frame_gains::{ChannelPairs, apply_gains, solve_gains};
 use super::mapper::Mapper;
 use super::surface_pairs::{ComparedViews, PLACE_DEVIATION, PictureSample, SamplePair};
-use super::white_balance::{WhiteBalanceCourse, find_white_balance};
+use super::white_balance::{ChannelBalance, balance_channels};
 use crate::config::{Config, ResponseScope};
 use crate::reconstruction::FrameEstimate;
 use i2slam_formation::blur_estimate::{BlurredPicture, BlurredPixel, MOMENTS, estimate_power};
@@ -62,6 +62,8 @@ pub(crate) struct FoundTone {
     pub(crate) has_response: bool,
     /// True if white balance is constant, false if it changes; `None` where nothing was decided.
     pub(crate) has_constant_white_balance: Option<bool>,
+    /// Powers of the response's channels; `None` where they stay as they were.
+    pub(crate) channel_powers: Option<[f64; 3]>,
 }
 
 /// Finds the response of all frames and whether their white balance is constant, and takes map and tones
@@ -75,8 +77,18 @@ pub(crate) fn find_tone(
     let former = context.responses[0].curve();
     let gauge = context.keyframes.first().map_or(0, |keyframe| keyframe.frame);
     let points = PairedValues::new(compared, lens);
-    let next = next_response(context, (&points, blurred), lens, gauge);
-    let (next, is_constant) = balance_channels(context, (compared, &points), next, gauge);
+    let alike = with_channel_powers(&context.responses[0], context.channel_powers.map(f64::recip));
+    let found = next_response(context, &alike, (&points, blurred), lens, gauge);
+    let has_response = found.is_some();
+    let base = found.unwrap_or(alike);
+    // Responses that are not found have no powers of their channels, and one curve has one power.
+    let is_known = (has_response || context.has_found_response) && base.nodes.len() == 3;
+    let log_exposures =
+        if is_known { points.log_exposures(&base.curve(), gauge) } else { BTreeMap::new() };
+    let ChannelBalance { powers, is_constant } =
+        balance_channels(context, (compared, &base.curve()), &log_exposures, gauge);
+    let is_next = has_response || powers != context.channel_powers;
+    let next = is_next.then(|| with_channel_powers(&base, powers));
     let curve = next.as_ref().map_or_else(|| former.clone(), CameraResponse::curve);
     let model = match is_constant {
         Some(true) => WhiteBalanceModel::Fixed,
@@ -108,48 +120,28 @@ pub(crate) fn find_tone(
         return FoundTone::default();
     }
     context.frames.iter_mut().zip(tones).for_each(|(frame, tone)| frame.tone = tone);
-    let has_response = next.is_some();
     next.into_iter().for_each(|next| context.responses[0] = next);
-    FoundTone { has_response, has_constant_white_balance: is_constant }
-}
-
-/// The next response, if there is one, with the powers of its channels by which white balance is constant,
-/// and whether it is; `None` where pictures do not tell, or it is not sought.
-fn balance_channels(
-    context: &MappingContext<'_>,
-    (compared, points): (&[ComparedViews], &PairedValues),
-    next: Option<CameraResponse<f32>>,
-    gauge_frame: usize,
-) -> (Option<CameraResponse<f32>>, Option<bool>) {
-    if context.config.formation.white_balance != WhiteBalanceModel::PerChannel {
-        return (next, None);
-    }
-    let response = next.as_ref().unwrap_or(&context.responses[0]);
-    let curve = response.curve();
-    // One curve for all channels has one power.
-    let log_exposures = match response.nodes.len() {
-        3 => points.log_exposures(&curve, gauge_frame),
-        _ => BTreeMap::new(),
-    };
-    match find_white_balance(compared, &curve, &log_exposures, gauge_frame) {
-        Some(WhiteBalanceCourse::Constant { powers }) if powers != [1.0; 3] => {
-            (Some(response.raised_by_channel(&powers)), Some(true))
-        }
-        Some(WhiteBalanceCourse::Constant { .. }) => (next, Some(true)),
-        Some(WhiteBalanceCourse::Changing) => (next, Some(false)),
-        None => (next, None),
+    FoundTone {
+        has_response,
+        has_constant_white_balance: is_constant,
+        channel_powers: Some(powers),
     }
 }
 
-/// The response by points that frames of different exposure show, its power by blur; `None` where pictures
-/// tell neither.
+/// A response whose channels span different ranges.
+fn with_channel_powers(response: &CameraResponse<f32>, powers: [f64; 3]) -> CameraResponse<f32> {
+    if powers == [1.0; 3] { response.clone() } else { response.raised_by_channel(&powers) }
+}
+
+/// The response after one whose channels are alike: its shape by points that frames of different exposure
+/// show, its power by blur; `None` where pictures tell neither.
 fn next_response(
     context: &MappingContext<'_>,
+    response: &CameraResponse<f32>,
     (points, blurred): (&PairedValues, &[BlurredView]),
     lens: Vignetting<f32>,
     gauge_frame: usize,
 ) -> Option<CameraResponse<f32>> {
-    let response = &context.responses[0];
     let shape = points.better_response(response, gauge_frame);
     let power = power_by_blur(blurred, shape.as_ref().unwrap_or(response), lens);
     if shape.is_none() && power.is_none() {

@@ -16,32 +16,71 @@
 //! change² = mean(a b)        error² = mean((a - b)²) / 4
 //! ```
 //!
-//! Pictures of different exposure tell the response of each channel up to a power of its own, and blur
-//! tells the one that all have in common. A channel whose power is `1 + k` times that of green makes a
-//! constant white balance follow the exposure, ln (channel/green) = `k` ln exposure. Where nothing but
-//! such a line changes, white balance is constant, and the channels are raised to the powers that make it so.
+//! All channels have one found curve, and channels that span different ranges of light differ from it by a
+//! power, nearly. One whose power is `1 + k` times that of green makes a constant white balance follow the
+//! exposure, ln (channel/green) = `k` ln exposure. Where nothing but such a line changes, white balance is
+//! constant, and the channels are raised to the powers that make it so.
 
+use super::context::MappingContext;
 use super::frame_gains::{Difference, solve_differences};
 use super::response::{COMPARED, log_linear};
 use super::surface_pairs::{ComparedViews, SamplePair};
-use i2slam_formation::ResponseCurve;
+use i2slam_formation::{ResponseCurve, WhiteBalanceModel};
 use std::collections::BTreeMap;
 
 /// Change of white balance over its error from which on it counts as one: gloss and coloured shadows bend
 /// both halves alike.
 const MIN_CHANGE: f64 = 1.5;
-/// Largest `k`: published responses differ by less from channel to channel. Beyond, white balance changes
-/// as exposure does, as on the way from a lamp to a window.
+/// Largest `k`: twice that of the measured response of `synth`. Beyond, white balance changes as exposure
+/// does, as on the way from a lamp to a window.
 const MAX_POWER_DIFFERENCE: f64 = 0.05;
+/// Change of powers that is not worth another response.
+const MIN_POWER_CHANGE: f64 = 0.002;
 /// Keyframes from which on a constant white balance can be told.
 const MIN_FRAMES: usize = 6;
 const RED: usize = 0;
 const GREEN: usize = 1;
 const BLUE: usize = 2;
 
+/// Powers of the channels, and what is known of white balance with them.
+#[derive(Debug, PartialEq)]
+pub(super) struct ChannelBalance {
+    /// To which the linear values of channels that are alike are to be raised.
+    pub(super) powers: [f64; 3],
+    /// `None` where pictures do not tell, or it is not sought.
+    pub(super) is_constant: Option<bool>,
+}
+
+/// The powers of the channels by which white balance is constant, given the curve of channels that are
+/// alike; those of before where pictures tell nothing new. `log_exposures` as in [`find_white_balance`].
+pub(super) fn balance_channels(
+    context: &MappingContext<'_>,
+    (compared, alike): (&[ComparedViews], &ResponseCurve<f32>),
+    log_exposures: &BTreeMap<usize, f64>,
+    gauge_frame: usize,
+) -> ChannelBalance {
+    let is_free = context.config.formation.white_balance == WhiteBalanceModel::PerChannel;
+    let find = || find_white_balance(compared, alike, log_exposures, gauge_frame);
+    next_balance(context.channel_powers, is_free.then(find).flatten())
+}
+
+fn next_balance(known: [f64; 3], course: Option<WhiteBalanceCourse>) -> ChannelBalance {
+    let powers = match course {
+        Some(WhiteBalanceCourse::Constant { powers }) => powers,
+        Some(WhiteBalanceCourse::Changing) => [1.0; 3],
+        None => known,
+    };
+    let is_near =
+        powers.iter().zip(known).all(|(next, known)| (next - known).abs() < MIN_POWER_CHANGE);
+    ChannelBalance {
+        powers: if is_near { known } else { powers },
+        is_constant: course.map(|course| course != WhiteBalanceCourse::Changing),
+    }
+}
+
 /// What pictures tell of the white balance of keyframes.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum WhiteBalanceCourse {
+enum WhiteBalanceCourse {
     /// It is the same in all, once the linear values of the channels are raised to these powers.
     Constant {
         powers: [f64; 3],
@@ -51,7 +90,7 @@ pub(super) enum WhiteBalanceCourse {
 
 /// How the white balance of the compared keyframes changes, as far as their pictures tell; `None` where
 /// they do not. `log_exposure` has the logarithms of their exposures; none where these are too much alike.
-pub(super) fn find_white_balance(
+fn find_white_balance(
     compared: &[ComparedViews],
     curve: &ResponseCurve<f32>,
     log_exposure: &BTreeMap<usize, f64>,
@@ -224,12 +263,27 @@ mod tests {
             assert!((power / powers[1] - due).abs() < 0.006, "{powers:?}");
         }
         assert!((powers.iter().sum::<f64>() / 3.0 - 1.0).abs() < 1e-9);
+        let raised = CameraResponse::new(3, StartCurve::Shoulder, NodeSpacing::Power(2.2))
+            .raised_by_channel(&[1.04 * powers[0], powers[1], 0.97 * powers[2]]);
+        assert_eq!(find(&raised.curve(), &exposure), Some(CONSTANT));
         // Farther apart than channels are, of exposures that tell nothing, or of a change besides.
         let changing = Some(WhiteBalanceCourse::Changing);
         assert_eq!(find(&bent(1.1, 1.0), &exposure), changing);
         assert_eq!(find(&bent(1.04, 0.97), &BTreeMap::new()), changing);
         let drifting = views(7, 1.2, 0.03);
         assert_eq!(find_white_balance(&drifting, &bent(1.04, 0.97), &exposure, 0), changing);
+    }
+
+    #[test]
+    fn powers_of_channels_do_not_outlast_what_they_were_found_by() {
+        let [known, next] = [[0.98, 1.0, 1.02], [0.97, 1.0, 1.03]];
+        let powers = |course| next_balance(known, course).powers;
+        assert_eq!(powers(None), known);
+        assert_eq!(powers(Some(WhiteBalanceCourse::Changing)), [1.0; 3]);
+        assert_eq!(powers(Some(CONSTANT)), [1.0; 3]);
+        let constant = |powers| Some(WhiteBalanceCourse::Constant { powers });
+        assert_eq!(powers(constant(next)), next);
+        assert_eq!(powers(constant(known.map(|power| power + 0.001))), known);
     }
 
     #[test]

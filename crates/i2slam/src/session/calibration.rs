@@ -27,6 +27,7 @@ impl Session {
             self.state.vignetting = found;
         }
         self.state.has_found_response |= tone.has_response;
+        self.state.channel_powers = tone.channel_powers.unwrap_or(self.state.channel_powers);
         let was_constant = self.state.has_constant_white_balance;
         self.state.has_constant_white_balance = tone.has_constant_white_balance.or(was_constant);
     }

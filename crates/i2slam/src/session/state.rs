@@ -22,6 +22,8 @@ pub(super) struct SessionState {
     pub(super) responses: Vec<CameraResponse<f32>>,
     /// Whether the response was found from pictures, and is no longer stepped.
     pub(super) has_found_response: bool,
+    /// Powers of the response's channels over one that all have in common.
+    pub(super) channel_powers: [f64; 3],
     /// True if white balance is constant, false if it changes; `None` until pictures have told. It is no
     /// longer stepped then.
     pub(super) has_constant_white_balance: Option<bool>,
@@ -43,6 +45,7 @@ impl SessionState {
             keyframes: Vec::new(),
             responses: vec![initial_response(config)],
             has_found_response: false,
+            channel_powers: [1.0; 3],
             has_constant_white_balance: None,
             vignetting: None,
             valid_mask: None,
@@ -67,6 +70,7 @@ impl SessionState {
             keyframes: &self.keyframes,
             responses: &mut self.responses,
             has_found_response: self.has_found_response,
+            channel_powers: self.channel_powers,
             has_found_white_balance: self.has_constant_white_balance.is_some(),
             white_balance,
             vignetting: self.vignetting.as_ref().map(LensVignetting::at_pixels),
