@@ -16,6 +16,7 @@ mod joint;
 mod keyframe;
 mod mapper;
 mod response;
+mod response_change;
 mod surface_pairs;
 mod vignetting;
 mod white_balance;

@@ -242,11 +242,15 @@ mod tests {
         }
     }
 
-    /// The true response, but for the powers of red and blue.
-    fn bent(red: f64, blue: f64) -> ResponseCurve<f32> {
+    /// The true response, but for the powers of its channels.
+    fn bent_by(powers: [f64; 3]) -> ResponseCurve<f32> {
         CameraResponse::new(3, StartCurve::Shoulder, NodeSpacing::Power(2.2))
-            .raised_by_channel(&[red, 1.0, blue])
+            .raised_by_channel(&powers)
             .curve()
+    }
+
+    fn bent(red: f64, blue: f64) -> ResponseCurve<f32> {
+        bent_by([red, 1.0, blue])
     }
 
     #[test]
@@ -263,9 +267,11 @@ mod tests {
             assert!((power / powers[1] - due).abs() < 0.006, "{powers:?}");
         }
         assert!((powers.iter().sum::<f64>() / 3.0 - 1.0).abs() < 1e-9);
-        let raised = CameraResponse::new(3, StartCurve::Shoulder, NodeSpacing::Power(2.2))
-            .raised_by_channel(&[1.04 * powers[0], powers[1], 0.97 * powers[2]]);
-        assert_eq!(find(&raised.curve(), &exposure), Some(CONSTANT));
+        // With these powers there is nothing left to change.
+        let balanced = bent_by([1.04 * powers[0], powers[1], 0.97 * powers[2]]);
+        let found = find(&balanced, &exposure);
+        let Some(WhiteBalanceCourse::Constant { powers }) = found else { panic!("{found:?}") };
+        assert!(powers.iter().all(|power| (power - 1.0).abs() < MIN_POWER_CHANGE), "{powers:?}");
         // Farther apart than channels are, of exposures that tell nothing, or of a change besides.
         let changing = Some(WhiteBalanceCourse::Changing);
         assert_eq!(find(&bent(1.1, 1.0), &exposure), changing);
