@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Whether the blurred pictures of a rendered sequence are means of light.
 
-    python3 docs/power_by_blur.py SEQUENCE
+    python3 docs/power_by_blur.py SEQUENCE [NOISE]
 
 SEQUENCE has rgb/, sharp/, depth/, exposure.csv, groundtruth_shutter.txt and the response of Reinhard
 (`i2slam synth` with response = "reinhard", or a path-traced sequence). A blurred pixel that saw the places u
@@ -10,8 +10,9 @@ of the sharp picture of its own frame during the exposure has
     ln x = (1/p) ln mean_u x_u^p + g
 
 with the true response, motion and depth; p = 1 for means of light. Length and time of the exposure and the
-gain g of each channel are unknowns beside p, as in crates/formation/src/blur_estimate/power.rs. It prints p
-of the eight frames with the most blur. Needs no packages.
+gain g of each channel are unknowns beside p, as in crates/formation/src/blur_estimate/power.rs, but without
+its instruments, as there is one sharp picture: what noise that has lowers p. NOISE is the deviation of more of
+it, in 8-bit steps. It prints p of the eight frames with the most blur. Needs no packages.
 """
 
 import csv
@@ -79,14 +80,20 @@ def between(first, second, share):
 
 def cubic(t):
     """Weights of Keys' cubic convolution."""
-    return [((-t / 2 + 1) * t - 0.5) * t, (1.5 * t - 2.5) * t * t + 1, ((2 - 1.5 * t) * t + 0.5) * t, (t - 1) * t * t / 2]
+    before, here = ((-t / 2 + 1) * t - 0.5) * t, (1.5 * t - 2.5) * t * t + 1
+    return [before, here, ((2 - 1.5 * t) * t + 0.5) * t, (t - 1) * t * t / 2]
 
 
-def observations(folder, camera, poses, colour, depth):
+def with_noise(rows, deviation):
+    noisy = lambda value: min(max(round(random.gauss(value, deviation)), 0), 255)
+    return [[noisy(value) for value in row] for row in rows] if deviation else rows
+
+
+def observations(folder, camera, poses, colour, depth, noise):
     """(ln of the blurred value, ln of those that the pixel saw, channel) of random pixels of a frame."""
     blurred, channels = read_png(folder / colour)
     sharp, sharp_channels = read_png(folder / "sharp" / Path(colour).name)
-    ranges, _ = read_png(folder / depth)
+    sharp, (ranges, _) = with_noise(sharp, noise), read_png(folder / depth)
     width, height = camera["width"], camera["height"]
     middle, origin = between(*poses, 0.5)
     moments = [between(*poses, (m + 0.5) / MOMENTS) for m in range(MOMENTS)]
@@ -98,10 +105,12 @@ def observations(folder, camera, poses, colour, depth):
         edges = (distance(x + dx, y + dy) for dx, dy in ((8, 0), (-8, 0), (0, 8), (0, -8)))
         if z <= 0 or any(abs(other - z) > 0.03 * z for other in edges):
             continue
-        point = [(x + 0.5 - camera["cx"]) / camera["fx"] * z, (y + 0.5 - camera["cy"]) / camera["fy"] * z, z]
+        ray = (x + 0.5 - camera["cx"]) / camera["fx"], (y + 0.5 - camera["cy"]) / camera["fy"], 1
+        point = [z * part for part in ray]
         logs = [[], [], []]
         for rotation, translation in moments:
-            world = [sum(r * p for r, p in zip(row, point)) + t - o for row, t, o in zip(rotation, translation, origin)]
+            rows = zip(rotation, translation, origin)
+            world = [sum(r * p for r, p in zip(row, point)) + t - o for row, t, o in rows]
             seen = [sum(middle[k][axis] * world[k] for k in range(3)) for axis in range(3)]
             u = camera["fx"] * seen[0] / seen[2] + camera["cx"] - 0.5
             v = camera["fy"] * seen[1] / seen[2] + camera["cy"] - 0.5
@@ -110,12 +119,14 @@ def observations(folder, camera, poses, colour, depth):
                 break
             across, down = cubic(u - column), cubic(v - row)
             for c in range(3):
-                at = lambda i, j: LINEAR[sharp[row - 1 + j][(column - 1 + i) * sharp_channels + c]]
-                value = sum(down[j] * sum(across[i] * at(i, j) for i in range(4)) for j in range(4))
+                around = [sharp[row - 1 + j][(column - 1) * sharp_channels + c :: sharp_channels] for j in range(4)]
+                light = [sum(w * LINEAR[v] for w, v in zip(across, line)) for line in around]
+                value = sum(w * line for w, line in zip(down, light))
                 logs[c].append(math.log(max(value, 1e-4)))
         for c in range(3):
             value = blurred[y][x * channels + c]
-            if len(logs[c]) == MOMENTS and 15 < value < 247 and all(-4.5 < log < 2.5 for log in logs[c]):
+            is_exposed = 15 < value < 247 and all(-4.5 < log < 2.5 for log in logs[c])
+            if len(logs[c]) == MOMENTS and is_exposed:
                 found.append((math.log(LINEAR[value]), logs[c], c))
     return found
 
@@ -166,7 +177,7 @@ def power(found):
 
 
 def main():
-    folder = Path(sys.argv[1])
+    folder, noise = Path(sys.argv[1]), float(sys.argv[2]) if len(sys.argv) > 2 else 0.0
     random.seed(1)
     camera = json.loads((folder / "camera.json").read_text())
     lines = lambda name: [l.split() for l in (folder / name).read_text().splitlines() if l and l[0] != "#"]
@@ -176,7 +187,7 @@ def main():
     powers = []
     for frame in sorted(range(len(blur)), key=lambda i: -blur[i])[:FRAMES]:
         poses = shutter[frame][:7], shutter[frame][7:]
-        found = observations(folder, camera, poses, colour[frame], depth[frame])
+        found = observations(folder, camera, poses, colour[frame], depth[frame], noise)
         powers.append(power(found))
         print(f"frame {frame}, {blur[frame]:.1f} px, {len(found)} observations: p = {powers[-1]:.2f}")
     mean = sum(powers) / len(powers)

@@ -52,15 +52,15 @@ pub(super) struct ChannelBalance {
 }
 
 /// The powers of the channels by which white balance is constant, given the curve of channels that are
-/// alike; those of before where pictures tell nothing new. `log_exposures` as in [`find_white_balance`].
+/// alike; those of before where pictures tell nothing new. `log_exposure` as in [`find_white_balance`].
 pub(super) fn balance_channels(
     context: &MappingContext<'_>,
     (compared, alike): (&[ComparedViews], &ResponseCurve<f32>),
-    log_exposures: &BTreeMap<usize, f64>,
+    log_exposure: &BTreeMap<usize, f64>,
     gauge_frame: usize,
 ) -> ChannelBalance {
     let is_free = context.config.formation.white_balance == WhiteBalanceModel::PerChannel;
-    let find = || find_white_balance(compared, alike, log_exposures, gauge_frame);
+    let find = || find_white_balance(compared, alike, log_exposure, gauge_frame);
     next_balance(context.channel_powers, is_free.then(find).flatten())
 }
 
@@ -78,7 +78,7 @@ fn next_balance(known: [f64; 3], course: Option<WhiteBalanceCourse>) -> ChannelB
     }
 }
 
-/// What pictures tell of the white balance of keyframes.
+/// Course of the white balance from keyframe to keyframe.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum WhiteBalanceCourse {
     /// It is the same in all, once the linear values of the channels are raised to these powers.
@@ -88,8 +88,8 @@ enum WhiteBalanceCourse {
     Changing,
 }
 
-/// How the white balance of the compared keyframes changes, as far as their pictures tell; `None` where
-/// they do not. `log_exposure` has the logarithms of their exposures; none where these are too much alike.
+/// Course of the white balance over the compared keyframes; `None` where their pictures do not tell.
+/// `log_exposure` has the logarithms of their exposures; none where these are too much alike.
 fn find_white_balance(
     compared: &[ComparedViews],
     curve: &ResponseCurve<f32>,
