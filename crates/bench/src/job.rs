@@ -1,7 +1,7 @@
 //! One job: reconstruction and evaluation by the program `i2slam`, and the record of both.
 
 use crate::console::Failure;
-use crate::metrics::{self, Metrics, OFF_SURFACE, PINHOLES};
+use crate::metrics::{self, Metrics, OFF_SURFACE, PINHOLES, SEE_THROUGH};
 use crate::plan::{Job, Plan};
 use crate::process::{Call, Stopped};
 use crate::sequences::{FrameList, Source};
@@ -294,7 +294,11 @@ fn measure_splats(folder: &Path) -> Result<(), Stopped> {
     let figures = splats::of_result(&folder.join("result"));
     let figures = figures.map_err(|e| Stopped::Failed(format!("map.ply not measured: {e}")))?;
     let of = |figures: SplatFigures| {
-        [(&PINHOLES, figures.pinholes), (&OFF_SURFACE, figures.off_surface)]
+        [
+            (&PINHOLES, figures.pinholes),
+            (&SEE_THROUGH, figures.see_through),
+            (&OFF_SURFACE, figures.off_surface),
+        ]
     };
     let metrics: Metrics =
         figures.map(of).into_iter().flatten().map(|(m, v)| (m.key.to_owned(), v)).collect();

@@ -37,6 +37,7 @@ pub(crate) const LPIPS: Metric = metric("lpips_sharp", "LPIPS", ("", 1.0), 3, tr
 pub(crate) const DEPTH: Metric = metric("depth_l1_m", "Depth L1", ("cm", 100.0), 2, true);
 pub(crate) const GAUSSIANS: Metric = metric("gaussians", "Gaussians", ("k", 1e-3), 0, true);
 pub(crate) const PINHOLES: Metric = metric("pinholes", "Pinholes", ("%", 100.0), 2, true);
+pub(crate) const SEE_THROUGH: Metric = metric("see_through", "See-through", ("%", 100.0), 2, true);
 pub(crate) const OFF_SURFACE: Metric =
     metric("off_surface", "Off the surface", ("%", 100.0), 2, true);
 pub(crate) const MAPPING: Metric =

@@ -20,6 +20,8 @@ pub(crate) type Failure = Box<dyn std::error::Error>;
 pub(crate) struct SplatFigures {
     /// Share of the surface through which more than half of the light passes.
     pub(crate) pinholes: f64,
+    /// Share of it through which it passes where Gaussians at all depths count.
+    pub(crate) see_through: f64,
     /// Share of the Gaussians farther than 2 % of the depth from the surface.
     pub(crate) off_surface: f64,
 }
@@ -52,6 +54,7 @@ pub(crate) fn of_result(result: &Path) -> Result<Option<SplatFigures>, Failure> 
     let off_surface = distance.share_beyond(MAX_DISTANCE).filter(|_| total.surface > 0);
     Ok(off_surface.map(|off_surface| SplatFigures {
         pinholes: total.open as f64 / total.surface as f64,
+        see_through: total.see_through as f64 / total.surface as f64,
         off_surface,
     }))
 }

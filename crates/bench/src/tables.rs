@@ -3,7 +3,7 @@
 use crate::console::counted;
 use crate::metrics::{
     ATE, DEPTH, GAUSSIANS, LPIPS, MAPPING, MEMORY, Metric, OFF_SURFACE, PINHOLES, PSNR, SECONDS,
-    SSIM, TRACKING,
+    SEE_THROUGH, SSIM, TRACKING,
 };
 use crate::plan::{Configuration, Job};
 use crate::suite::{Protocol, TableKind};
@@ -96,14 +96,15 @@ fn tracking(results: &Results<'_>) -> Table {
 /// Size and density of maps.
 fn map(results: &Results<'_>) -> Table {
     let what = "Gaussians of the map, and pinholes: share of the surface seen by a frame through which \
-                more than half of the light passes, as viewers draw map.ply from 40 % nearer; share of the Gaussians off the surface by \
-                more than 2 % of its depth.";
+                more than half of the light passes, as viewers draw map.ply from 40 % nearer, of these \
+                the see-through ones, where no Gaussian at another depth stops it; share of the Gaussians \
+                off the surface by more than 2 % of its depth.";
     sequence_table(
         results,
         ("map", "Size and density of the map"),
         what,
         &["Method", "Metric"],
-        &[&GAUSSIANS, &PINHOLES, &OFF_SURFACE],
+        &[&GAUSSIANS, &PINHOLES, &SEE_THROUGH, &OFF_SURFACE],
     )
 }
 

@@ -9,7 +9,8 @@
 //! ```
 //!
 //! over the Gaussians whose centre lies within a tenth of the depth of the surface at the pixel. A
-//! pixel of the surface is a pinhole where more than half of the light passes: `T > 0.5`.
+//! pixel of the surface is a pinhole where more than half of the light passes: `T > 0.5`. Where it
+//! passes the Gaussians at all depths, too, a viewer shows the background.
 
 use super::Splat;
 use crate::EvalError;
@@ -38,6 +39,8 @@ const MAX_TANGENT: f64 = 1.3;
 pub struct Pinholes {
     /// Pixels through which more than half of the light passes.
     pub open: usize,
+    /// Pixels through which it passes even where Gaussians at all depths count.
+    pub see_through: usize,
     /// Pixels of the surface.
     pub surface: usize,
 }
@@ -45,6 +48,7 @@ pub struct Pinholes {
 impl std::ops::AddAssign for Pinholes {
     fn add_assign(&mut self, other: Self) {
         self.open += other.open;
+        self.see_through += other.see_through;
         self.surface += other.surface;
     }
 }
@@ -67,11 +71,16 @@ pub fn pinholes(
     let step = Pose::new(Rotation::identity(), Vec3::new(0.0, 0.0, approach));
     let near = magnified(camera);
     let surface = surface(camera, &near, depth, approach);
-    let transmittance =
-        transmittance(splats, &near, (world_from_camera * step).inverse(), &surface);
-    let pixels = surface.iter().zip(&transmittance).filter(|(z, _)| **z > 0.0);
-    let open = pixels.clone().filter(|(_, light)| **light > MIN_TRANSMITTANCE).count();
-    Ok(Pinholes { open, surface: pixels.count() })
+    let light = transmittance(splats, &near, (world_from_camera * step).inverse(), &surface);
+    let pixels = surface.iter().zip(&light).filter(|(z, _)| **z > 0.0).map(|(_, light)| light);
+    let count = |passes: fn(&Light) -> f32| {
+        pixels.clone().filter(|light| passes(light) > MIN_TRANSMITTANCE).count()
+    };
+    Ok(Pinholes {
+        open: count(|light| light.surface),
+        see_through: count(|light| light.all),
+        surface: pixels.clone().count(),
+    })
 }
 
 fn magnified(camera: &Camera<f64>) -> Camera<f64> {
@@ -147,14 +156,23 @@ fn fill([a, b, c]: [[f64; 3]; 3], camera: &Camera<f64>, inverse: &mut [f64]) {
     }
 }
 
-/// Light that passes the Gaussians at the surface, for every pixel.
+/// Share of the light of a pixel that passes.
+#[derive(Clone, Copy)]
+struct Light {
+    /// The Gaussians at the surface.
+    surface: f32,
+    /// All Gaussians.
+    all: f32,
+}
+
+/// Light that passes, for every pixel.
 fn transmittance(
     splats: &[Splat],
     camera: &Camera<f64>,
     camera_from_world: Pose<f64>,
     surface: &[f64],
-) -> Vec<f32> {
-    let mut light = vec![1.0_f32; surface.len()];
+) -> Vec<Light> {
+    let mut light = vec![Light { surface: 1.0, all: 1.0 }; surface.len()];
     for splat in splats {
         let Some(Footprint { centre, depth, conic, reach }) =
             footprint(splat, camera, camera_from_world)
@@ -169,14 +187,16 @@ fn transmittance(
             for x in bounds(0, camera.width) {
                 let pixel = y * camera.width + x;
                 let z = surface[pixel];
-                if z <= 0.0 || (depth - z).abs() > MAX_DISTANCE * z {
+                if z <= 0.0 {
                     continue;
                 }
                 let [u, v] = [x as f64 + 0.5 - centre[0], y as f64 + 0.5 - centre[1]];
                 let power = conic[0] * u * u + 2.0 * conic[1] * u * v + conic[2] * v * v;
                 let alpha = (splat.opacity * (-0.5 * power).exp() as f32).min(MAX_ALPHA);
                 if alpha >= MIN_ALPHA {
-                    light[pixel] *= 1.0 - alpha;
+                    let is_at_surface = (depth - z).abs() <= MAX_DISTANCE * z;
+                    light[pixel].all *= 1.0 - alpha;
+                    light[pixel].surface *= if is_at_surface { 1.0 - alpha } else { 1.0 };
                 }
             }
         }
@@ -255,23 +275,24 @@ mod tests {
         pixels.map(splat).collect()
     }
 
-    fn share(splats: &[Splat]) -> f64 {
+    /// Shares of pinholes, and of those that all Gaussians leave.
+    fn shares(splats: &[Splat]) -> [f64; 2] {
         let found = pinholes(splats, &camera(), Pose::identity(), &wall()).expect("depth");
         assert!(found.surface > 5000, "{found:?}");
-        found.open as f64 / found.surface as f64
+        [found.open, found.see_through].map(|count| count as f64 / found.surface as f64)
     }
 
     #[test]
     fn a_wall_of_small_splats_is_a_sieve() {
-        assert_eq!(share(&grid(0.6, DEPTH)), 0.0);
-        assert!(share(&grid(0.1, DEPTH)) > 0.5);
-        assert_eq!(share(&[]), 1.0);
+        assert_eq!(shares(&grid(0.6, DEPTH)), [0.0; 2]);
+        assert!(shares(&grid(0.1, DEPTH)).iter().all(|share| *share > 0.5));
+        assert_eq!(shares(&[]), [1.0; 2]);
     }
 
     #[test]
-    fn a_wall_elsewhere_does_not_count() {
-        assert_eq!(share(&grid(0.6, 1.05 * DEPTH)), 0.0);
-        assert_eq!(share(&grid(0.6, 1.3 * DEPTH)), 1.0);
+    fn a_wall_elsewhere_stops_the_light_but_is_no_surface() {
+        assert_eq!(shares(&grid(0.6, 1.05 * DEPTH)), [0.0; 2]);
+        assert_eq!(shares(&grid(0.6, 1.3 * DEPTH)), [1.0, 0.0]);
     }
 
     #[test]
