@@ -3,14 +3,14 @@
 use crate::depth::calibration::calibrate_depth;
 use crate::depth::depth_map::DepthPicture;
 use crate::depth::readings::read_depth;
-use crate::depth::scale::scale_to_readings;
 use crate::diagnosis::findings::diagnose;
 use crate::diagnosis::pictures::PictureChecks;
 use crate::error::{OdometryError, PictureError};
 use crate::features::collection::PhotoCollection;
 use crate::intrinsics::focal_length::{Intrinsics, search_focal_length};
 use crate::intrinsics::observability::drop_unobservable_distortion;
-use crate::loops::loop_closure::{close_loops, merge_overlapping_keyframes};
+use crate::loops::loop_closure::close_loops;
+use crate::map_building::build_map;
 use crate::online::frame_update::FrameUpdate;
 use crate::online::online_map::OnlineMap;
 use crate::progress::{Progress, Stage};
@@ -18,15 +18,9 @@ use crate::register::approximate_poses::{
     in_unit_of_path, place_unsupported, register_near, take_given_poses,
 };
 use crate::register::dense_constraints::add_dense_constraints;
-use crate::register::first_pairs::register_photographs;
-use crate::register::initialization::initialize;
 use crate::register::photographs::with_matches;
 use crate::register::position_refinement::refine_positions;
-use crate::register::registration::{
-    adjust_all_frames, adjust_globally, adjust_path, adjust_remaining_frames, register_keyframes,
-    register_remaining_frames,
-};
-use crate::relocalize::relocalization::{FailedPairs, relocalize};
+use crate::register::registration::{adjust_all_frames, adjust_path, adjust_remaining_frames};
 use crate::result::{Reconstruction, build_reconstruction, reconstruction_so_far};
 use crate::rolling_shutter::readout::{
     MIN_READOUT_FRAMES, estimate_rolling_shutter, median_frame_interval,
@@ -235,6 +229,7 @@ impl FrontEnd {
         drop(tracker);
         let closes_loops = map.closes_loops;
         let (online, online_poses) = map.into_state_and_poses();
+        let known = online.posed_keyframes();
         let online = SfmState { progress: progress.clone(), ..online };
         // Measured depth tells poses of pictures that share few points, too.
         let posed = online.posed_frames().len() as f64;
@@ -247,14 +242,14 @@ impl FrontEnd {
         let (found, are_given) = match (is_unordered, given.as_slice()) {
             (true, []) => {
                 state = with_matches(state, &photographs, &[]);
-                (estimate_path(&mut state, adjust_focal), false)
+                (estimate_path(&mut state, &[], adjust_focal), false)
             }
             (true, given) => {
                 let (registered, stay) = register_near(state, &photographs, given);
                 state = registered;
                 (Ok(()), stay)
             }
-            (false, given) => estimate_path_or_take(&mut state, given, adjust_focal),
+            (false, given) => estimate_path_or_take(&mut state, &known, given, adjust_focal),
         };
         // A cancelled search may look like any other failure.
         if progress.is_cancelled() {
@@ -395,22 +390,27 @@ fn correct_rows(state: &mut SfmState, by_frame: &[Vec<usize>]) {
     }
 }
 
-/// Focal length and the map.
-fn estimate_path(state: &mut SfmState, adjust_focal: bool) -> Result<(), OdometryError> {
+/// Focal length and the map; `known` are poses of keyframes that may fit better.
+fn estimate_path(
+    state: &mut SfmState,
+    known: &[(usize, Pose<f64>)],
+    adjust_focal: bool,
+) -> Result<(), OdometryError> {
     if adjust_focal {
         search_focal_length(state)?;
     }
-    build_map(state, adjust_focal)
+    build_map(state, known, adjust_focal)
 }
 
 /// Estimates the path of a film, or takes the given one, if there is one, where too few frames are found; true
 /// if it was taken. Depth that was measured is of use in its own unit alone.
 fn estimate_path_or_take(
     state: &mut SfmState,
+    known: &[(usize, Pose<f64>)],
     given: &[Option<Pose<f64>>],
     adjust_focal: bool,
 ) -> (Result<(), OdometryError>, bool) {
-    let found = estimate_path(state, adjust_focal);
+    let found = estimate_path(state, known, adjust_focal);
     let posed = if found.is_ok() { state.posed_frames().len() } else { 0 };
     let is_enough = posed as f64 >= MIN_POSED_SHARE * given.len() as f64;
     if given.is_empty() || is_enough || state.has_depth() || state.progress.is_cancelled() {
@@ -435,63 +435,6 @@ fn adjust_until_converged(state: &mut SfmState, adjust_focal: bool) {
         }
         before = now;
     }
-}
-
-/// Builds the map from tracks alone: poses of all frames, and landmarks.
-fn build_map(state: &mut SfmState, adjust_focal: bool) -> Result<(), OdometryError> {
-    let is_started = !state.posed_frames().is_empty();
-    let mut was_lost = false;
-    if state.photographs.is_some() {
-        register_photographs(state, adjust_focal)?;
-    } else {
-        if !is_started {
-            initialize(state, 0..state.tracks.keyframes.len())?;
-        }
-        was_lost = register_and_relocalize(state, adjust_focal);
-        if let Some((other, other_was_lost)) = largest_component(state, adjust_focal) {
-            (*state, was_lost) = (other, other_was_lost);
-        }
-    }
-    scale_to_readings(state);
-    if !is_started {
-        adjust_globally(state, adjust_focal);
-    }
-    register_remaining_frames(state);
-    adjust_all_frames(state, adjust_focal);
-    if was_lost {
-        merge_overlapping_keyframes(state, adjust_focal);
-    }
-    Ok(())
-}
-
-/// Registers and relocalizes keyframes until none is left; returns whether some were relocalized.
-fn register_and_relocalize(state: &mut SfmState, adjust_focal: bool) -> bool {
-    let (mut failed, mut was_lost) = (FailedPairs::default(), false);
-    loop {
-        register_keyframes(state, adjust_focal, usize::MAX);
-        if !relocalize(state, &mut failed) {
-            return was_lost;
-        }
-        was_lost = true;
-        state.triangulate_missing();
-    }
-}
-
-/// The state from the longest unregistered run of keyframes, where that registers more frames, and
-/// whether some were relocalized.
-fn largest_component(state: &SfmState, adjust_focal: bool) -> Option<(SfmState, bool)> {
-    let is_posed = |place: usize| state.poses[state.tracks.keyframes[place]].is_some();
-    let places: Vec<usize> = (0..state.tracks.keyframes.len()).collect();
-    let runs = places.chunk_by(|a, b| is_posed(*a) == is_posed(*b)).filter(|r| !is_posed(r[0]));
-    let length =
-        |run: &[usize]| run.iter().map(|place| state.frames_represented(*place)).sum::<usize>();
-    let covered = state.frames_covered();
-    let longest = runs.max_by_key(|run| length(run)).filter(|run| length(run) > covered)?;
-    let mut other = state.clone();
-    other.reset();
-    initialize(&mut other, longest[0]..longest[longest.len() - 1] + 1).ok()?;
-    let was_lost = register_and_relocalize(&mut other, adjust_focal);
-    (other.frames_covered() > covered).then_some((other, was_lost))
 }
 
 #[cfg(test)]

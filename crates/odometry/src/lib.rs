@@ -87,6 +87,7 @@ mod register {
     pub(crate) mod dense_constraints;
     pub(crate) mod first_pairs;
     pub(crate) mod initialization;
+    pub(crate) mod known_path;
     pub(crate) mod missing_matches;
     pub(crate) mod photographs;
     pub(crate) mod position_refinement;
@@ -139,6 +140,7 @@ mod diagnosis {
 
 mod front_end;
 mod keyframe_density;
+mod map_building;
 mod pose_deviation;
 mod result;
 

@@ -269,6 +269,11 @@ impl SfmState {
         (0..self.poses.len()).filter(|f| self.poses[*f].is_some()).collect()
     }
 
+    /// Keyframes with a pose, in order.
+    pub(crate) fn posed_keyframes(&self) -> Vec<(usize, Pose<f64>)> {
+        self.tracks.keyframes.iter().filter_map(|f| Some((*f, self.poses[*f]?))).collect()
+    }
+
     /// Triangulates every track without a landmark that enough registered frames observe.
     pub(crate) fn triangulate_missing(&mut self) {
         self.triangulate((0..self.landmarks.len()).collect());

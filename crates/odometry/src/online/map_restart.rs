@@ -1,8 +1,6 @@
 //! Maps that begin anew: from a better pair of keyframes, or with another readout of the rows.
 
-use crate::online::online_map::{
-    INITIALIZATION_WINDOW, OnlineMap, move_with_keyframes, posed_keyframes,
-};
+use crate::online::online_map::{INITIALIZATION_WINDOW, OnlineMap, move_with_keyframes};
 use crate::online::path_alignment::{PosePair, path_change};
 use crate::register::dense_constraints::RecentKeyframes;
 use crate::register::registration::adjust_globally;
@@ -74,7 +72,7 @@ impl OnlineMap {
             self.readout_search = Some(search);
             return;
         }
-        let before = posed_keyframes(&self.state);
+        let before = self.state.posed_keyframes();
         self.state.with_keyframes_alone(|state| {
             search.apply(state);
             adjust_globally(state, false);
@@ -121,7 +119,7 @@ impl OnlineMap {
     fn improve(&mut self, timestamps: &[f64], interval: f64) {
         let state = &mut self.state;
         correct_observations(state, timestamps, state.readout * interval, interval);
-        let before = posed_keyframes(state);
+        let before = state.posed_keyframes();
         state.with_keyframes_alone(|state| adjust_globally(state, false));
         move_with_keyframes(state, &before, &self.followers);
     }

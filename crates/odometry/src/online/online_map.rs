@@ -334,7 +334,7 @@ impl OnlineMap {
         let state = &mut self.state;
         let is_rescaled = scale_to_readings(state);
         self.recent_keyframes.align(state, frame);
-        let before = posed_keyframes(state);
+        let before = state.posed_keyframes();
         let adjusts_focal = self.adjusts_focal && before.len() >= MIN_FOCAL_FRAMES;
         let adjusted_at = &mut self.adjusted_keyframes;
         let has_grown = before.len() as f64 >= GLOBAL_ADJUSTMENT_GROWTH * *adjusted_at as f64;
@@ -383,7 +383,7 @@ impl OnlineMap {
             observations.iter().map(|(track, o)| (*track, o.frame)).collect();
         let known_before = self.joining.len();
         self.join(observations);
-        let before = posed_keyframes(&self.state);
+        let before = self.state.posed_keyframes();
         let adjusts_focal = self.adjusts_focal;
         self.state.with_keyframes_alone(|state| adjust_globally(state, adjusts_focal));
         let tracks = &self.state.tracks.tracks;
@@ -421,11 +421,6 @@ fn correct_rows(state: &mut SfmState, frame: usize, interval: f64) {
     let timestamps = Arc::clone(&state.timestamps);
     let readout = state.readout * interval;
     correct_observations_in(state, frame, &timestamps, (readout, interval));
-}
-
-/// Keyframes with a pose, in order.
-pub(super) fn posed_keyframes(state: &SfmState) -> Vec<(usize, Pose<f64>)> {
-    state.tracks.keyframes.iter().filter_map(|f| Some((*f, state.poses[*f]?))).collect()
 }
 
 /// Moves every frame with the keyframe that it follows, given where those were.

@@ -1,0 +1,79 @@
+//! The map of a sequence, from its tracks or matches.
+
+use crate::depth::scale::scale_to_readings;
+use crate::error::OdometryError;
+use crate::loops::loop_closure::merge_overlapping_keyframes;
+use crate::register::first_pairs::register_photographs;
+use crate::register::initialization::initialize;
+use crate::register::known_path::take_better_path;
+use crate::register::registration::{
+    adjust_all_frames, adjust_globally, register_keyframes, register_remaining_frames,
+};
+use crate::relocalize::relocalization::{FailedPairs, relocalize};
+use crate::sfm_state::SfmState;
+use i2slam_geometry::Pose;
+
+/// Builds the map from tracks alone, or of a film from the `known` poses of keyframes where these fit
+/// better: poses of all frames, and landmarks.
+pub(crate) fn build_map(
+    state: &mut SfmState,
+    known: &[(usize, Pose<f64>)],
+    adjust_focal: bool,
+) -> Result<(), OdometryError> {
+    let is_started = !state.posed_frames().is_empty();
+    let mut was_lost = false;
+    if state.photographs.is_some() {
+        register_photographs(state, adjust_focal)?;
+    } else {
+        if !is_started {
+            initialize(state, 0..state.tracks.keyframes.len())?;
+        }
+        was_lost = register_and_relocalize(state, adjust_focal);
+        if let Some((other, other_was_lost)) = largest_component(state, adjust_focal) {
+            (*state, was_lost) = (other, other_was_lost);
+        }
+        if !is_started && take_better_path(state, known, adjust_focal) {
+            was_lost = register_and_relocalize(state, adjust_focal);
+        }
+    }
+    scale_to_readings(state);
+    if !is_started {
+        adjust_globally(state, adjust_focal);
+    }
+    register_remaining_frames(state);
+    adjust_all_frames(state, adjust_focal);
+    if was_lost {
+        merge_overlapping_keyframes(state, adjust_focal);
+    }
+    Ok(())
+}
+
+/// Registers and relocalizes keyframes until none is left; returns whether some were relocalized.
+fn register_and_relocalize(state: &mut SfmState, adjust_focal: bool) -> bool {
+    let (mut failed, mut was_lost) = (FailedPairs::default(), false);
+    loop {
+        register_keyframes(state, adjust_focal, usize::MAX);
+        if !relocalize(state, &mut failed) {
+            return was_lost;
+        }
+        was_lost = true;
+        state.triangulate_missing();
+    }
+}
+
+/// The state from the longest unregistered run of keyframes, where that registers more frames, and
+/// whether some were relocalized.
+fn largest_component(state: &SfmState, adjust_focal: bool) -> Option<(SfmState, bool)> {
+    let is_posed = |place: usize| state.poses[state.tracks.keyframes[place]].is_some();
+    let places: Vec<usize> = (0..state.tracks.keyframes.len()).collect();
+    let runs = places.chunk_by(|a, b| is_posed(*a) == is_posed(*b)).filter(|r| !is_posed(r[0]));
+    let length =
+        |run: &[usize]| run.iter().map(|place| state.frames_represented(*place)).sum::<usize>();
+    let covered = state.frames_covered();
+    let longest = runs.max_by_key(|run| length(run)).filter(|run| length(run) > covered)?;
+    let mut other = state.clone();
+    other.reset();
+    initialize(&mut other, longest[0]..longest[longest.len() - 1] + 1).ok()?;
+    let was_lost = register_and_relocalize(&mut other, adjust_focal);
+    (other.frames_covered() > covered).then_some((other, was_lost))
+}
