@@ -5,7 +5,7 @@ use crate::error::OdometryError;
 use crate::loops::loop_closure::merge_overlapping_keyframes;
 use crate::register::first_pairs::register_photographs;
 use crate::register::initialization::initialize;
-use crate::register::known_path::take_better_path;
+use crate::register::known_path::better_known_path;
 use crate::register::registration::{
     adjust_all_frames, adjust_globally, register_keyframes, register_remaining_frames,
 };
@@ -32,8 +32,14 @@ pub(crate) fn build_map(
         if let Some((other, other_was_lost)) = largest_component(state, adjust_focal) {
             (*state, was_lost) = (other, other_was_lost);
         }
-        if !is_started && take_better_path(state, known, adjust_focal) {
-            was_lost = register_and_relocalize(state, adjust_focal);
+        // What was lost and found again has observations that another path has not.
+        let is_comparable = !is_started && !was_lost && !state.has_depth();
+        let other = is_comparable.then(|| better_known_path(state, known, adjust_focal)).flatten();
+        if let Some(mut other) = other {
+            let other_was_lost = register_and_relocalize(&mut other, adjust_focal);
+            if other.frames_covered() >= state.frames_covered() {
+                (*state, was_lost) = (other, other_was_lost);
+            }
         }
     }
     scale_to_readings(state);

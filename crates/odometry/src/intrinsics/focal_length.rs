@@ -3,7 +3,7 @@
 use crate::error::OdometryError;
 use crate::progress::Stage;
 use crate::register::initialization::initialize;
-use crate::register::registration::{adjusted_misfit, register_keyframes};
+use crate::register::registration::{adjust_globally, register_keyframes};
 use crate::sfm_state::SfmState;
 use i2slam_geometry::Camera;
 use rayon::prelude::*;
@@ -69,7 +69,10 @@ fn evaluate_start(state: &SfmState, factor: f64) -> Result<(f64, SfmState), Odom
     tried.camera = Camera { fx: camera.fx * factor, fy: camera.fy * factor, ..camera };
     initialize(&mut tried, 0..state.tracks.keyframes.len())?;
     register_keyframes(&mut tried, true, SEARCH_KEYFRAMES);
-    Ok((adjusted_misfit(&mut tried, true), tried))
+    adjust_globally(&mut tried, true);
+    let cost = adjust_globally(&mut tried, true);
+    let explained: usize = tried.posed_frames().iter().map(|f| tried.count_inliers(*f)).sum();
+    Ok((cost / (explained.max(1) as f64), tried))
 }
 
 #[cfg(test)]

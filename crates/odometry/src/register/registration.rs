@@ -65,15 +65,6 @@ pub(crate) fn adjust_globally(state: &mut SfmState, adjust_focal: bool) -> f64 {
     cost
 }
 
-/// Adjusts all poses until little changes; returns the mean cost over the number of observations that
-/// agree: a map that explains fewer fits them better.
-pub(crate) fn adjusted_misfit(state: &mut SfmState, adjust_focal: bool) -> f64 {
-    adjust_globally(state, adjust_focal);
-    let cost = adjust_globally(state, adjust_focal);
-    let explained: usize = state.posed_frames().iter().map(|f| state.count_inliers(*f)).sum();
-    cost / explained.max(1) as f64
-}
-
 /// Adjusts all frames, or with depth or in a long sequence the keyframes alone, to which
 /// [`adjust_remaining_frames`] adds the others at the end; returns the mean cost.
 ///

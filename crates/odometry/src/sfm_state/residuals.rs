@@ -77,6 +77,26 @@ impl SfmState {
         all
     }
 
+    /// Mean squared residual [variances] of all observations in some frames of tracks that two of these see, at
+    /// most [`MAX_INLIER_ERROR`] squared each, as of tracks without a landmark (MSAC; Torr and Zisserman 2000):
+    /// maps of the same tracks compare by it.
+    pub(crate) fn truncated_cost(&self, frames: &[usize]) -> f64 {
+        let mut seen = vec![0_usize; self.landmarks.len()];
+        frames.iter().flat_map(|f| &self.by_frame[*f]).for_each(|track| seen[*track] += 1);
+        let (mut sum, mut count) = (0.0, 0_usize);
+        for frame in frames {
+            for (track, observation) in self.observations_in(*frame).filter(|(t, _)| seen[*t] > 1) {
+                let landmark = self.landmarks[track].as_ref().zip(self.poses[*frame].as_ref());
+                let error = landmark.map_or(f64::INFINITY, |(landmark, pose)| {
+                    reprojection_error(&self.camera, pose, &(landmark, observation))
+                });
+                sum += error.min(MAX_INLIER_ERROR).powi(2);
+                count += 1;
+            }
+        }
+        sum / count.max(1) as f64
+    }
+
     /// Number of landmarks within [`MAX_INLIER_ERROR`] in a frame.
     pub(crate) fn count_inliers(&self, frame: usize) -> usize {
         let Some(pose) = self.poses[frame] else { return 0 };
