@@ -83,3 +83,38 @@ fn largest_component(state: &SfmState, adjust_focal: bool) -> Option<(SfmState, 
     let was_lost = register_and_relocalize(&mut other, adjust_focal);
     (other.frames_covered() > covered).then_some((other, was_lost))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fixtures::{camera, state};
+    use i2slam_geometry::{Rotation, Vec3};
+
+    /// Around a point before a camera of narrow view.
+    fn orbit(frame: usize) -> Pose<f64> {
+        let centre = Vec3::new(0.0, 0.0, 2.5);
+        let rotation = Rotation::exp(Vec3::new(0.0, 0.012 * (frame as f64 - 12.0), 0.0));
+        Pose::new(rotation, centre - rotation.rotate(centre))
+    }
+
+    /// The first pair of keyframes begins with the reversal.
+    #[test]
+    fn a_film_goes_on_from_the_known_path_where_it_fits_better() {
+        let observe = |point: Vec3<f64>, frame: usize, n: &[f64]| {
+            let (u, v) = camera().project(orbit(frame).inverse() * point);
+            Some([u + 0.5 * n[0], v + 0.5 * n[1]])
+        };
+        let mut film = state((24, 12, 2), [25.0, 20.0], orbit, observe);
+        film.reset();
+        let turned = |known: &[(usize, Pose<f64>)]| {
+            let mut found = film.clone();
+            build_map(&mut found, known, false).expect("a map");
+            assert_eq!(found.posed_frames().len(), 24);
+            let [first, last] = [0, 22].map(|frame| found.poses[frame].expect("posed"));
+            first.local(last).rotation.y / orbit(0).local(orbit(22)).rotation.y
+        };
+        let known: Vec<_> = (0..24).step_by(2).map(|frame| (frame, orbit(frame))).collect();
+        let (without, with) = (turned(&[]), turned(&known));
+        assert!(without < 0.0 && (with - 1.0).abs() < 0.2, "{without} {with}");
+    }
+}
