@@ -9,13 +9,47 @@ use crate::multiview::robust_loss::{HUBER_THRESHOLD, huber, length};
 use i2slam_compute::reduce_in_order;
 use i2slam_geometry::{Mat3, Vec3};
 
-/// Approximation of the robust cost's curvature.
+/// Least curvature along a residual, which is divided by its root.
+const MIN_CURVATURE: f64 = 1e-3;
+
+/// Approximation of the robust cost's curvature: the weight `w` across a residual `r`, and along it `p`,
+/// `w (I - r rᵀ/‖r‖²) + p r rᵀ/‖r‖²`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Curvature {
-    /// For steps: iteratively reweighted squares, which bound the cost from above.
+    /// For steps, `p = w`: iteratively reweighted squares, which bound the cost from above.
     Majorizing,
-    /// For covariances: `w I`, and beyond the Huber threshold `w (I - r rᵀ/‖r‖²)`.
+    /// For the covariance of intrinsics, which all residuals share: `p` is 1 up to the Huber threshold,
+    /// and (nearly) 0 beyond.
     Exact,
+    /// For that of poses: `p` averaged over unit noise, `Φ(k - n)` for a residual of length `n` and the
+    /// threshold `k` (approximated as by Lin 1989). Exactly, a pose that few residuals hold would seem
+    /// free where they all happen to be longer.
+    Smoothed,
+}
+
+impl Curvature {
+    /// The curvature along a residual of length `n` [standard deviations].
+    fn along(self, n: f64) -> f64 {
+        let beyond = n - HUBER_THRESHOLD;
+        let tail = 0.5 * (-0.717 * beyond.abs() - 0.416 * beyond * beyond).exp();
+        match self {
+            Self::Majorizing => huber(n).0,
+            Self::Exact => {
+                if beyond > 0.0 {
+                    MIN_CURVATURE
+                } else {
+                    1.0
+                }
+            }
+            Self::Smoothed => {
+                if beyond > 0.0 {
+                    tail.max(MIN_CURVATURE)
+                } else {
+                    1.0 - tail
+                }
+            }
+        }
+    }
 }
 
 /// Blocks of one landmark: `C`, its gradient, and its couplings with the cameras that observe it.
@@ -43,7 +77,8 @@ pub(super) struct GlobalBlock {
     pub(super) gradient: [f64; GLOBALS],
 }
 
-/// A weighted residual with its derivatives: the image position, and the inverse depth if measured.
+/// A weighted residual with its derivatives: the image position, and the inverse depth if measured. With
+/// another curvature than the majorizing one it is scaled, so that gradients are right still.
 pub(super) struct WeightedResidual {
     pub(super) projection: Projection,
     camera_jacobian: CameraJacobian,
@@ -80,14 +115,18 @@ pub(super) fn weighted_residual(
     if let Some(depth) = &observation.depth {
         residual[2] = projection.inverse_depth - depth.inverse;
         let off = residual[2].abs() / depth.sigma;
-        let is_flat = curvature == Curvature::Exact && off > HUBER_THRESHOLD;
-        weights[2] = if is_flat { 0.0 } else { huber(off).0 / (depth.sigma * depth.sigma) };
+        weights[2] = huber(off).0 / (depth.sigma * depth.sigma);
+        if curvature != Curvature::Majorizing {
+            let change = curvature.along(off) / huber(off).0;
+            weights[2] *= change;
+            residual[2] /= change;
+        }
         rows = 3;
     }
     let camera_jacobian = observation.camera_jacobian;
     let mut out = WeightedResidual { projection, camera_jacobian, residual, weights, rows };
-    if curvature == Curvature::Exact && length > HUBER_THRESHOLD {
-        out.project_across_residual();
+    if curvature != Curvature::Majorizing && length > 0.0 {
+        out.scale_along_residual((curvature.along(length) / huber(length).0).sqrt());
     }
     Some(out)
 }
@@ -231,13 +270,14 @@ pub(super) fn global_block(bundle: &Bundle, curvature: Curvature) -> GlobalBlock
 }
 
 impl WeightedResidual {
-    /// Keeps the derivatives across the residual: along it the Huber cost has no curvature.
-    fn project_across_residual(&mut self) {
+    /// Scales the derivatives along the position's residual, and this by the inverse: gradients stay.
+    fn scale_along_residual(&mut self, scale: f64) {
         let length = length([self.residual[0], self.residual[1]]);
-        let across = [-self.residual[1] / length, self.residual[0] / length];
+        let along = [self.residual[0] / length, self.residual[1] / length];
         let keep = |[x, y]: [&mut f64; 2]| {
-            let slope = across[0] * *x + across[1] * *y;
-            (*x, *y) = (across[0] * slope, across[1] * slope);
+            let lost = (1.0 - scale) * (along[0] * *x + along[1] * *y);
+            *x -= along[0] * lost;
+            *y -= along[1] * lost;
         };
         let [x, y, _] = &mut self.projection.by_pose;
         x.iter_mut().zip(y).for_each(|(x, y)| keep([x, y]));
@@ -246,6 +286,8 @@ impl WeightedResidual {
         let [x, y, _] = &mut self.projection.by_focal;
         keep([x, y]);
         self.camera_jacobian.iter_mut().for_each(|by| keep(by.each_mut()));
+        self.residual[0] /= scale;
+        self.residual[1] /= scale;
     }
 
     /// Derivatives by the global parameters.

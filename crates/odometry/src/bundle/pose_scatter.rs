@@ -1,7 +1,7 @@
 //! Scatter of adjusted poses under the noise of their observations (a score bootstrap).
 //!
-//! Noise moves the minimum of the cost by `-H⁻¹ g`, with the curvature `H` and the gradient `g` that
-//! the noise adds. Samples of it are
+//! Noise moves the minimum of the cost by `-H⁻¹ g`, with the smoothed curvature `H` and the gradient
+//! `g` that the noise adds. Samples of it are
 //!
 //! ```text
 //! x = -H⁻¹ (Σ_c ε_c g_c + Σ_f s w_f J_fᵀ B_f (u_a + u_b)/√2),   B_f B_fᵀ = Λ_f
@@ -45,13 +45,8 @@ impl Bundle {
     /// their deviations; `None` where the observations do not determine them.
     pub(crate) fn pose_scatter(&self, noise_scale: f64) -> Option<PoseScatter> {
         let sparsity = BlockSparsity::new(self);
-        // Points all of whose residuals are beyond the Huber threshold may leave the exact
-        // curvature indefinite.
-        let with = |curvature| {
-            let system = SchurSystem::new(self, &sparsity, curvature);
-            Some((system.solver()?, system))
-        };
-        let (solver, system) = with(Curvature::Exact).or_else(|| with(Curvature::Majorizing))?;
+        let system = SchurSystem::new(self, &sparsity, Curvature::Smoothed);
+        let solver = system.solver()?;
         let observations = observation_gradients(self, &sparsity);
         let clusters: Vec<usize> =
             observations.iter().map(|g| self.anchor_region(g.landmark)).collect();

@@ -120,7 +120,11 @@ fn the_gradient_agrees_with_differences() {
     let free_intrinsics = FreeIntrinsics::FocalLengthAndDistortion;
     let bundle = Bundle { free_intrinsics, camera_change: [0.02, -0.01], ..disturbed(bundle) };
     let sparsity = BlockSparsity::new(&bundle);
-    let gradient = SchurSystem::new(&bundle, &sparsity, Curvature::Majorizing).half_gradient(2);
+    let [gradient, of_smoothed] = [Curvature::Majorizing, Curvature::Smoothed]
+        .map(|curvature| SchurSystem::new(&bundle, &sparsity, curvature).half_gradient(2));
+    for (a, b) in gradient.iter().zip(&of_smoothed) {
+        assert!((a - b).abs() <= 1e-9 * a.abs().max(1.0), "{a} {b}");
+    }
     let f = |x: &[f64]| {
         let mut step = BundleStep {
             poses: vec![[0.0; 6]; 6],
@@ -132,6 +136,24 @@ fn the_gradient_agrees_with_differences() {
         0.5 * bundle.apply_step(&step).cost()
     };
     assert_gradient("bundle", &[0.0; 12], &gradient, 1e-6, 1e-6, f);
+}
+
+/// Residuals of a pose that all happen to be somewhat longer than the Huber threshold hold it still.
+#[test]
+fn residuals_beyond_the_threshold_hold_a_pose() {
+    let scatter_of_last_pose = |offset: f64| {
+        let (mut bundle, _) = scene(0.1);
+        for (i, observations) in Arc::make_mut(&mut bundle.observations).iter_mut().enumerate() {
+            let sign = if i % 2 == 0 { 1.0 } else { -1.0 };
+            let of_last = observations.iter_mut().filter(|o| o.pose == 5);
+            of_last.for_each(|o| o.at = o.at.map(|v| v + sign * offset));
+        }
+        let scatter = bundle.pose_scatter(1.0).expect("determined");
+        let squares = scatter.samples.iter().map(|sample| sample[5][0] * sample[5][0]);
+        (squares.sum::<f64>() / scatter.samples.len() as f64).sqrt()
+    };
+    let [within, beyond] = [0.4, 0.8].map(scatter_of_last_pose);
+    assert!(beyond > within && beyond < 8.0 * within, "{within} {beyond}");
 }
 
 /// A camera that goes round `count` poses, every one beginning `each` points that the next `seen`
