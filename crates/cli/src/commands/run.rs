@@ -46,12 +46,12 @@ pub(crate) struct Run {
     /// --keyframes; poses, exposure and map are refined together [default preset: default-rgb]
     #[arg(long)]
     pub(crate) rgb: bool,
-    /// With --rgb, lens distortion: that of the camera file, if there is one, or estimated from the
+    /// By colour alone, lens distortion: that of the camera file, if there is one, or estimated from the
     /// pictures (k1, k2) together with the focal length, where nothing gives the camera
     #[arg(long, value_enum, value_name = "WHICH", default_value_t = Distortion::Given)]
     pub(crate) distortion: Distortion,
-    /// With --rgb, keyframes and poses that another program found (docs/import.md)
-    #[arg(long, value_name = "PATH", requires = "rgb")]
+    /// Keyframes and poses that another program found (docs/import.md); implies --rgb
+    #[arg(long, value_name = "PATH")]
     pub(crate) keyframes: Option<PathBuf>,
     /// Which depth the keyframes get
     #[arg(long, value_enum, default_value_t = KeyframeDepth::Imported, requires = "keyframes")]
@@ -60,7 +60,7 @@ pub(crate) struct Run {
     #[arg(long, value_name = "DIR", requires = "keyframes")]
     pub(crate) depth_variance: Option<PathBuf>,
     /// Kind of map [default: that of --preset or --config; without these gaussian, or
-    /// hashgrid with --keyframes]
+    /// hashgrid with --keyframe-depth none]
     #[arg(long, value_enum, value_name = "KIND")]
     pub(crate) map: Option<Map>,
     #[command(flatten)]
@@ -180,9 +180,9 @@ pub(crate) fn run(arguments: &Run, recorder: Option<Recorder>) -> Result<(), Fai
         return run_stream(arguments, recorder);
     }
     refuse_results(&arguments.dataset)?;
-    if !arguments.rgb && is_without_depth(&arguments.dataset) {
+    if !arguments.rgb && (arguments.keyframes.is_some() || is_without_depth(&arguments.dataset)) {
         let arguments = Run { rgb: true, ..arguments.clone() };
-        let is_rgb_chosen = !is_video(&arguments.dataset);
+        let is_rgb_chosen = arguments.keyframes.is_none() && !is_video(&arguments.dataset);
         return reconstruction::run(&Job { is_rgb_chosen, ..job(&arguments, recorder)? });
     }
     reconstruction::run(&job(arguments, recorder)?)
@@ -300,11 +300,12 @@ fn settings(arguments: &Run) -> Result<Config, Failure> {
     with_flags(with_default_map(config, arguments), arguments)
 }
 
-/// Keyframes of other programs may lack the depth that Gaussians start from: they become a radiance
-/// field unless the configuration file or a flag names the map.
+/// Keyframes without the depth that Gaussians start from become a radiance field unless the configuration
+/// file or a flag names the map.
 fn with_default_map(mut config: Config, arguments: &Run) -> Config {
     let named = arguments.config.as_deref().is_some_and(names_map_kind);
-    if arguments.keyframes.is_some() && config.is_rgb() && !named {
+    let is_without_depth = arguments.keyframe_depth == KeyframeDepth::None;
+    if arguments.keyframes.is_some() && is_without_depth && config.is_rgb() && !named {
         config.map.kind = MapKind::HashGrid;
     }
     config
@@ -329,7 +330,7 @@ fn pose_source(arguments: &Run, config: &Config) -> Result<PoseSource, Failure> 
         }
         (true, _, false) => Err(Failure::Usage(format!(
             "preset {preset} is for RGB-D: {} goes with default-rgb, paper-rgb or paper-rgb-s",
-            "colour alone (--rgb, or an input without depth)"
+            "colour alone (--rgb, --keyframes, or an input without depth)"
         ))),
         (true, None, true) => Ok(PoseSource::FrontEnd { with_depth: false, estimate_distortion }),
         (true, Some(path), true) => Ok(PoseSource::Files {

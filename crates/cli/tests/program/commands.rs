@@ -64,7 +64,6 @@ fn usage_is_checked() {
         (&["--preset", "fast"], "paper-tum"),
         (&["--threads", "0"], "--threads"),
         (&["--virtual-cameras", "0"], "virtual_cameras"),
-        (&["--keyframes", "poses.txt"], "--rgb"),
         (&["--rgb", "--keyframes", "p", "--preset", "paper-tum"], "is for RGB-D"),
         (&["--preset", "paper-rgb"], "add --rgb"),
     ] {

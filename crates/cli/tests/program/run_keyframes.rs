@@ -6,7 +6,8 @@ use std::fs;
 use std::path::Path;
 
 const FRAMES: usize = 8;
-const QUICK_KEYFRAMES: &str = "[hashgrid]\nbound = 2.0\nlog2_table = 12\nfinest_cell = 0.02\n\
+const QUICK_KEYFRAMES: &str = "[map]\nkind = \"hashgrid\"\n[hashgrid]\nbound = 2.0\nlog2_table = 12\n\
+    finest_cell = 0.02\n\
     rays = 256\nfirst_iterations = 40\niterations = 5\nfinal_iterations = 120\n";
 
 /// A sequence with the true poses in `poses.txt`, some a little off.
@@ -38,6 +39,20 @@ fn same_bytes(a: &Path, b: &Path) {
         let same = fs::read(a.join(file)).expect(file) == fs::read(b.join(file)).expect(file);
         assert!(same, "{file} depends on the number of threads");
     }
+}
+
+#[test]
+fn keyframes_with_depth_become_gaussians() {
+    let room = keyframes("keyframed-gaussians");
+    let (poses, config) = (room.scratch.join("poses.txt"), room.scratch.join("gaussians.toml"));
+    fs::write(&config, "[mapping]\niterations = 3\nfinal_iterations = 20\n").expect("room");
+    let run = |more: &[&str]| i2slam!("run", room.data, "--out", room.out, "--keyframes", poses, "--config", config; more);
+    let without = run(&["--keyframe-depth", "none", "--map", "gaussian"]).exits_with(1);
+    without.stderr_contains("the keyframes have no depth").stderr_contains("--map hashgrid");
+    assert!(!room.has("metrics.json"));
+    run(&["--keyframe-depth", "pictures"]).exits_with(0);
+    assert!(room.has("map.ply") && room.has("viewer.html"));
+    assert_eq!(room.metric("keyframes"), Some(FRAMES as f64));
 }
 
 #[test]

@@ -39,15 +39,18 @@ pub struct CameraEstimate {
 }
 
 impl CameraEstimate {
-    /// Source of the focal length in words: the pictures if they determine it, else the
-    /// source of the assumed camera.
+    /// Source of the focal length in words: the pictures if they changed it, else the source of the
+    /// assumed camera.
     pub fn source_of_focal_length(&self) -> String {
-        match self.focal_length_deviation {
-            Some(_) if self.is_focal_length_estimated => {
-                format!("the pictures; assumed first: {}", self.source)
+        let is_changed = (self.focal_length / self.assumed_focal_length).ln().abs() > 1e-6;
+        let pictures = match self.focal_length_deviation {
+            Some(_) if self.is_focal_length_estimated => "the pictures",
+            None if self.is_focal_length_estimated && is_changed => {
+                "the pictures, which do not tell how exactly"
             }
-            _ => self.source.clone(),
-        }
+            _ => return self.source.clone(),
+        };
+        format!("{pictures}; assumed first: {}", self.source)
     }
 
     pub(super) fn new(sequence: &Sequence, found: &OdometryReconstruction) -> Self {
@@ -67,5 +70,34 @@ impl CameraEstimate {
                 .filter(|lens| *lens != [0.0; 2])
                 .map(|lens| sequence.estimated_camera(&found.camera, lens)),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_source_of_a_focal_length_is_what_changed_it() {
+        let estimate = |focal_length: f64, deviation: Option<f64>, is_estimated: bool| {
+            let camera = CameraEstimate {
+                source: "a guess".to_owned(),
+                assumed_focal_length: 100.0,
+                focal_length,
+                is_focal_length_estimated: is_estimated,
+                focal_length_deviation: deviation,
+                field_of_view: 60.0,
+                rolling_shutter_readout: 0.0,
+                depth_delay: 0.0,
+                depth_shift: [0.0; 2],
+                is_distortion_estimated: false,
+                lens: None,
+            };
+            camera.source_of_focal_length()
+        };
+        assert_eq!(estimate(120.0, Some(0.01), true), "the pictures; assumed first: a guess");
+        assert!(estimate(120.0, None, true).contains("do not tell how exactly; assumed first"));
+        assert_eq!(estimate(100.0, None, true), "a guess");
+        assert_eq!(estimate(100.0, None, false), "a guess");
     }
 }

@@ -1,7 +1,7 @@
 //! Loop over the frames or keyframes of any source of poses, from the first to the finished map.
 
-use super::camera::CameraEstimate;
 use super::error::{RunError, catch_panic};
+use super::input::{FRAMES, Input, Item, ItemKind};
 use super::observer::RunContext;
 use super::{PoseSource, RunOptions, RunOutcome, Stage, shortfall};
 use crate::config::{HoldOut, Parameters, TrackingMethod};
@@ -9,127 +9,13 @@ use crate::keyframes::{PictureError, PosedKeyframe};
 use crate::reconstruction::{FrameEstimate, Reconstruction};
 use crate::session::{MappedFrames, Session, SessionError};
 use crate::warning::Warning;
-use i2slam_dataset::{Frame, Sequence};
-use i2slam_geometry::{Camera, Pose, StampedPose};
+use i2slam_dataset::Sequence;
+use i2slam_geometry::Camera;
 use i2slam_odometry::PoseDeviation;
 use std::collections::{BTreeMap, VecDeque};
 use std::fmt::Display;
 use std::sync::Arc;
 use std::time::Instant;
-
-/// A frame to be tracked against the map, or a keyframe that comes with its pose.
-pub(super) enum Item {
-    Frame(Frame),
-    Keyframe(Box<PosedKeyframe>),
-}
-
-/// Frames with poses between keyframes, in order.
-pub(super) type BetweenFrames =
-    Box<dyn ExactSizeIterator<Item = Result<PosedKeyframe, PictureError>>>;
-
-/// Frames, or keyframes with poses, ready to be mapped.
-pub(super) struct Input<'a> {
-    pub(super) items: Box<dyn Iterator<Item = Result<Item, PictureError>> + 'a>,
-    /// Number of items.
-    pub(super) count: usize,
-    /// Keyframes of the path, whose mapping steps all items share.
-    pub(super) keyframes: usize,
-    /// Kind of the items.
-    pub(super) kind: &'static ItemKind,
-    /// Camera of all pictures.
-    pub(super) camera: Camera<f64>,
-    /// True if the keyframes are photographs, in no order.
-    pub(super) is_unordered: bool,
-    /// Readout of a rolling shutter that the source has found [s]; 0 without.
-    pub(super) readout: f64,
-    pub(super) frame_rate: f64,
-    pub(super) between: BetweenFrames,
-    /// Index, stamp [s] and pose of all frames that have one.
-    pub(super) path: Vec<(usize, f64, Pose<f64>)>,
-    /// Poses as they were known when their frames came.
-    pub(super) online_trajectory: Vec<StampedPose>,
-    /// Deviations of poses that stay as the source gave them, by frame index.
-    pub(super) deviations: BTreeMap<usize, PoseDeviation>,
-    /// Frames of the sequence, those without a pose included.
-    pub(super) frames_given: usize,
-    pub(super) estimate: Option<CameraEstimate>,
-    pub(super) undistorted: Option<Sequence>,
-    /// Frames that were mapped while they came; items are the others.
-    pub(super) mapped: Option<MappedFrames>,
-}
-
-/// Words and stages of a kind of items.
-pub(super) struct ItemKind {
-    /// Name in messages.
-    name: &'static str,
-    first: &'static str,
-    pub(super) stage: Stage,
-    /// Stage after the last item.
-    last_stage: Stage,
-    session: fn(crate::Config, Camera<f64>, f64) -> Session,
-}
-
-pub(super) const FRAMES: ItemKind = ItemKind {
-    name: "frame",
-    first: "the first frame",
-    stage: Stage::Frames,
-    last_stage: Stage::MapRefinement,
-    session: Session::tracking,
-};
-
-pub(super) const KEYFRAMES: ItemKind = ItemKind {
-    name: "keyframe",
-    first: "the first keyframe",
-    stage: Stage::Keyframes,
-    last_stage: Stage::Refinement,
-    session: Session::refining,
-};
-
-impl<'a> Input<'a> {
-    /// True if every n-th of all frames is held out, in place of every n-th item.
-    fn counts_frames(&self, options: &RunOptions) -> bool {
-        self.estimate.is_some() && options.config.tracking.method != TrackingMethod::Adam
-    }
-
-    /// All frames of a sequence, to be tracked against the map.
-    pub(super) fn frames(sequence: &'a Sequence) -> Self {
-        let items = sequence.stream().map(|frame| Ok(Item::Frame(frame?)));
-        Self {
-            items: Box::new(items),
-            count: sequence.len(),
-            keyframes: sequence.len(),
-            kind: &FRAMES,
-            camera: sequence.camera,
-            is_unordered: false,
-            readout: 0.0,
-            frame_rate: sequence.frame_rate,
-            between: Box::new(std::iter::empty()),
-            path: Vec::new(),
-            online_trajectory: Vec::new(),
-            deviations: BTreeMap::new(),
-            frames_given: sequence.len(),
-            estimate: None,
-            undistorted: None,
-            mapped: None,
-        }
-    }
-
-    /// Stage of its items, after as many that were mapped while they came.
-    fn stage(&self, before: usize) -> Stage {
-        match self.kind.stage {
-            Stage::Keyframes if before + self.count > self.keyframes => Stage::Mapping,
-            stage => stage,
-        }
-    }
-
-    fn none_usable(&self) -> String {
-        match (self.kind.stage, self.count) {
-            (Stage::Keyframes, _) => "no keyframe could be used".to_owned(),
-            (_, 1) => "the only frame could not be used".to_owned(),
-            (_, all) => format!("none of the {all} frames could be used"),
-        }
-    }
-}
 
 /// Maps all items of the input that `open` gives until they end or the run is cancelled. An
 /// unreadable one is left out with a warning.
@@ -140,94 +26,12 @@ pub(super) fn run<'a>(
     open: impl FnOnce() -> Result<Input<'a>, RunError>,
 ) -> Result<RunOutcome, RunError> {
     let started = Instant::now();
-    let mut input = catch_panic(open)?;
-    let (mut session, hold_out, before, errors) = match input.mapped.take() {
-        Some(MappedFrames { session, hold_out, current, errors, .. }) => {
-            (session, hold_out, current.len(), errors)
-        }
-        None => {
-            let pictures = input.undistorted.as_ref().unwrap_or(sequence);
-            let source = ((input.camera, input.frame_rate), pictures);
-            let session = new_session(input.kind, options, context, source);
-            let hold_out = hold_out(options, &input, sequence);
-            (session, hold_out, 0, Vec::new())
-        }
-    };
-    context.observer.progress(input.stage(before), before, before + input.count);
-    session.set_found_readout(input.readout);
-    session.set_unordered(input.is_unordered);
-    session.share_steps(&options.config, input.keyframes, before + input.count);
-    // Where the frames between keyframes are localised, too, their tracking tells.
-    let is_path =
-        input.estimate.is_some() && options.config.tracking.method == TrackingMethod::Adam;
-    let given = (input.frames_given, input.is_unordered);
-    let few_poses = is_path.then(|| shortfall::of_path(input.path.len(), given));
-    let none_usable = input.none_usable();
-    let items = std::mem::replace(&mut input.items, Box::new(std::iter::empty()));
-    let (held_out, skipped, first_error, latest) = (VecDeque::new(), 0, None, None);
-    let mut driver = Driver {
-        session,
-        input,
-        context,
-        before,
-        hold_out,
-        held_out,
-        skipped,
-        first_error,
-        latest,
-        is_source_of_poses: options.poses == PoseSource::Map,
-    };
-    errors.iter().for_each(|error| driver.leave_out(error));
-    let mut problem = catch_panic(|| driver.process_all(items)).err();
-    let cancelled = || context.cancellation.is_cancelled();
-    if cancelled() {
-        driver.keep_unprocessed();
-    }
+    let mut driver = Driver::new(catch_panic(open)?, sequence, options, context);
+    let problem = driver.map_all();
     if driver.session.frames().is_empty() {
-        return Err(driver.nothing(problem, none_usable));
+        return Err(driver.nothing(problem));
     }
-    if problem.is_none() && !cancelled() {
-        problem = catch_panic(|| driver.finish()).err();
-        if cancelled() {
-            driver.keep_unprocessed();
-        }
-    }
-    driver.pass_warnings_on();
-    let complete = problem.is_none() && !cancelled();
-    let Driver { session, input, hold_out, skipped, .. } = driver;
-    let number = match input.kind.stage {
-        Stage::Frames => session.frames().len(),
-        _ => hold_out.frames(),
-    };
-    let mut shortfalls = Vec::new();
-    if complete {
-        shortfalls.extend(shortfall::of_holding_out(
-            session.mapping_settings(),
-            (number, if input.counts_frames(options) { FRAMES.name } else { input.kind.name }),
-        ));
-        shortfalls.extend(shortfall::of_readout(session.is_readout_missing()));
-        shortfalls.extend(few_poses.flatten());
-    }
-    let mut reconstruction = session.reconstruction();
-    reconstruction.online_trajectory = input.online_trajectory;
-    // As set: a run from its own configuration would share the steps a second time.
-    reconstruction.config.mapping.iterations = options.config.mapping.iterations;
-    if reconstruction.config.parameters.frames.keeps_middle && !input.deviations.is_empty() {
-        claim_deviations(&mut reconstruction, &input.deviations);
-    }
-    Ok(RunOutcome {
-        reconstruction,
-        frames_given: input.frames_given,
-        is_unordered: input.is_unordered,
-        frames_skipped: skipped,
-        seconds: started.elapsed().as_secs_f64(),
-        complete,
-        problem,
-        shortfalls,
-        camera: input.estimate,
-        undistorted: input.undistorted,
-        warnings: Vec::new(),
-    })
+    Ok(driver.into_outcome(problem, options, started))
 }
 
 /// Poses that stayed as their source gave them have its deviations: localisation in the map measured
@@ -291,11 +95,122 @@ struct Driver<'a, 'b> {
     is_source_of_poses: bool,
 }
 
+impl<'a, 'b> Driver<'a, 'b> {
+    fn new(
+        mut input: Input<'a>,
+        sequence: &Sequence,
+        options: &RunOptions,
+        context: &'b RunContext,
+    ) -> Self {
+        let (mut session, hold_out, before, errors) = match input.mapped.take() {
+            Some(MappedFrames { session, hold_out, current, errors, .. }) => {
+                (session, hold_out, current.len(), errors)
+            }
+            None => {
+                let pictures = input.undistorted.as_ref().unwrap_or(sequence);
+                let source = ((input.camera, input.frame_rate), pictures);
+                let session = new_session(input.kind, options, context, source);
+                (session, hold_out(options, &input, sequence), 0, Vec::new())
+            }
+        };
+        context.observer.progress(input.stage(before), before, before + input.count);
+        session.set_found_readout(input.readout);
+        session.set_unordered(input.is_unordered);
+        session.share_steps(&options.config, input.keyframes, before + input.count);
+        let mut driver = Self {
+            session,
+            input,
+            context,
+            before,
+            hold_out,
+            held_out: VecDeque::new(),
+            skipped: 0,
+            first_error: None,
+            latest: None,
+            is_source_of_poses: options.poses == PoseSource::Map,
+        };
+        errors.iter().for_each(|error| driver.leave_out(error));
+        driver
+    }
+}
+
 impl Driver<'_, '_> {
-    fn process_all(
+    /// Maps all items and refines the map; what ended it early, if anything.
+    fn map_all(&mut self) -> Option<RunError> {
+        let problem = self.attempt(Self::process_all);
+        let is_cancelled = self.context.cancellation.is_cancelled();
+        if problem.is_some() || is_cancelled || self.session.frames().is_empty() {
+            return problem;
+        }
+        self.attempt(Self::finish)
+    }
+
+    /// The error of a step. Frames that its cancellation leaves unprocessed keep the poses known of them.
+    fn attempt(
         &mut self,
-        items: impl Iterator<Item = Result<Item, PictureError>>,
-    ) -> Result<(), RunError> {
+        step: impl FnOnce(&mut Self) -> Result<(), RunError>,
+    ) -> Option<RunError> {
+        let problem = catch_panic(|| step(self)).err();
+        if self.context.cancellation.is_cancelled() {
+            self.keep_unprocessed();
+        }
+        problem
+    }
+
+    /// The result of a session with frames, which `problem` ended early if there is one.
+    fn into_outcome(
+        mut self,
+        problem: Option<RunError>,
+        options: &RunOptions,
+        started: Instant,
+    ) -> RunOutcome {
+        self.pass_warnings_on();
+        let complete = problem.is_none() && !self.context.cancellation.is_cancelled();
+        let shortfalls = if complete { self.shortfalls(options) } else { Vec::new() };
+        let Self { session, input, skipped, .. } = self;
+        let mut reconstruction = session.reconstruction();
+        reconstruction.online_trajectory = input.path.online;
+        // As set: a run from its own configuration would share the steps a second time.
+        reconstruction.config.mapping.iterations = options.config.mapping.iterations;
+        let keeps_poses = reconstruction.config.parameters.frames.keeps_middle;
+        if keeps_poses && !input.path.deviations.is_empty() {
+            claim_deviations(&mut reconstruction, &input.path.deviations);
+        }
+        RunOutcome {
+            reconstruction,
+            frames_given: input.frames_given,
+            is_unordered: input.is_unordered,
+            frames_skipped: skipped,
+            seconds: started.elapsed().as_secs_f64(),
+            complete,
+            problem,
+            shortfalls,
+            camera: input.estimate,
+            undistorted: input.undistorted,
+            warnings: Vec::new(),
+        }
+    }
+
+    /// Why a complete result is not what was asked for.
+    fn shortfalls(&self, options: &RunOptions) -> Vec<String> {
+        let Self { session, input, .. } = self;
+        let number = match input.kind.stage {
+            Stage::Frames => session.frames().len(),
+            _ => self.hold_out.frames(),
+        };
+        let item = if input.counts_frames(options) { FRAMES.name } else { input.kind.name };
+        let of_holding_out = shortfall::of_holding_out(session.mapping_settings(), (number, item));
+        let of_readout = shortfall::of_readout(session.is_readout_missing());
+        // Where the frames between keyframes are localised, too, their tracking tells.
+        let is_path =
+            input.estimate.is_some() && options.config.tracking.method == TrackingMethod::Adam;
+        let given = (input.frames_given, input.is_unordered);
+        let few_poses = is_path.then(|| shortfall::of_path(input.path.poses.len(), given));
+        of_holding_out.into_iter().chain(of_readout).chain(few_poses.flatten()).collect()
+    }
+
+    fn process_all(&mut self) -> Result<(), RunError> {
+        let items = std::mem::replace(&mut self.input.items, Box::new(std::iter::empty()));
         let before = self.before;
         for (done, item) in items.enumerate() {
             if self.context.cancellation.is_cancelled() {
@@ -390,7 +305,7 @@ impl Driver<'_, '_> {
 
     /// Adds the poses that are known of frames not processed, after cancellation.
     fn keep_unprocessed(&mut self) {
-        let path = std::mem::take(&mut self.input.path).into_iter();
+        let path = std::mem::take(&mut self.input.path.poses).into_iter();
         let kept = path
             .filter(|(index, stamp, pose)| self.session.insert_unrefined(*index, *stamp, *pose));
         let count = kept.count();
@@ -408,13 +323,13 @@ impl Driver<'_, '_> {
     }
 
     /// Error of a run without a single frame.
-    fn nothing(self, problem: Option<RunError>, what: String) -> RunError {
+    fn nothing(self, problem: Option<RunError>) -> RunError {
         if self.context.cancellation.is_cancelled() {
             return RunError::Cancelled { before: self.input.kind.first };
         }
         let reason = problem.map(|error| error.to_string()).or(self.first_error);
         RunError::NoUsableFrame {
-            what,
+            what: self.input.none_usable(),
             reason: reason.unwrap_or_else(|| "there are none".to_owned()),
         }
     }

@@ -47,6 +47,12 @@ pub enum RunError {
     /// Visual odometry failed.
     #[error("no path of the camera was found: {0}")]
     NoPath(MonocularError),
+    /// Keyframes of another program without depth, for a map of Gaussians.
+    #[error(
+        "the keyframes have no depth, which Gaussians begin on, and none was found in their pictures: \
+         give depth, or make a radiance field, which needs none (--map hashgrid)"
+    )]
+    NoDepth,
     /// Not one frame could be used.
     #[error("{what}: {reason}")]
     NoUsableFrame {

@@ -15,9 +15,11 @@ mod camera;
 mod driver;
 mod error;
 mod forecast;
-mod keyframes;
+mod imported;
+mod input;
 mod memory;
 mod observer;
+mod odometry;
 mod online;
 mod preview;
 mod shortfall;
@@ -26,18 +28,18 @@ mod stream;
 pub use camera::CameraEstimate;
 pub use error::RunError;
 pub use forecast::RuntimeForecast;
-pub use keyframes::odometry_size;
 pub use observer::{Observer, Stage};
+pub use odometry::odometry_size;
 pub use stream::TrackedStream;
 
-use crate::config::{Config, MapKind, TrackingMethod};
+use crate::config::{Config, TrackingMethod};
 use crate::keyframes::{ImportDepth, ImportOptions};
 use crate::reconstruction::Reconstruction;
 use crate::warning::Warning;
-use driver::Input;
 use i2slam_compute::CancellationToken;
 use i2slam_dataset::import::camera_file;
 use i2slam_dataset::{DatasetError, LiveSequence, OpenOptions, Sequence};
+use input::Input;
 use observer::RunContext;
 use std::path::{Path, PathBuf};
 
@@ -144,11 +146,9 @@ impl RunOptions {
         Self::new(Config::default_rgb(), PoseSource::colour_alone())
     }
 
-    /// Keyframes of another program with the pictures of a dataset, on a radiance field, as
-    /// Gaussians need a depth to start from.
+    /// Keyframes of another program with the pictures of a dataset, with the settings `default-rgb`.
     pub fn imported_keyframes(keyframes: PathBuf, pictures: PathBuf) -> Self {
-        let mut config = Config::default_rgb();
-        config.map.kind = MapKind::HashGrid;
+        let config = Config::default_rgb();
         let (depth, variance) = (ImportDepth::Imported, None);
         Self::new(config, PoseSource::Files { keyframes, pictures, depth, variance })
     }
@@ -333,12 +333,8 @@ fn reconstruct_tracked(
             Ok(Input::frames(sequence))
         }
         PoseSource::FrontEnd { with_depth, estimate_distortion } => {
-            let found = keyframes::from_odometry(
-                sequence,
-                (*estimate_distortion, tracked),
-                options,
-                &context,
-            );
+            let found =
+                odometry::open(sequence, (*estimate_distortion, tracked), options, &context);
             match found {
                 Err(RunError::NoPath(failure)) if *with_depth => {
                     context.warn(format!("{failure}: frames are tracked against the map instead"));
@@ -354,7 +350,7 @@ fn reconstruct_tracked(
                 variance: variance.clone(),
                 ..ImportOptions::default()
             };
-            keyframes::imported((keyframes, pictures), &import, options, &context)
+            imported::open((keyframes, pictures), &import, options, &context)
         }
     };
     let mut outcome = driver::run(sequence, options, &context, open)?;

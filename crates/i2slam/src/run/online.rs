@@ -1,10 +1,11 @@
 //! Frames with depth of a known camera, mapped in Gaussians while they come.
 
 use super::RunOptions;
-use super::driver::{KEYFRAMES, new_session};
+use super::driver::new_session;
 use super::error::RunError;
-use super::keyframes::{FoundPath, ODOMETRY_SIDE, picture};
+use super::input::KEYFRAMES;
 use super::observer::{Observer, RunContext, Stage};
+use super::odometry::{FoundPath, ODOMETRY_SIDE, picture};
 use crate::config::{MapKind, TrackingMethod};
 use crate::keyframes::{
     self, BoxedLoader, GivenPictures, MonocularError, MonocularSource, OdometryProgress,

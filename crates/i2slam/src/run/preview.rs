@@ -3,7 +3,8 @@
 
 use super::RunOptions;
 use super::camera::is_focal_length_changed;
-use super::driver::{KEYFRAMES, new_session};
+use super::driver::new_session;
+use super::input::KEYFRAMES;
 use super::observer::{Observer, RunContext};
 use crate::config::{HoldOut, MapKind, TrackingMethod};
 use crate::session::OnlineMapping;

@@ -2,8 +2,8 @@
 //! when the stream has ended.
 
 use super::camera::is_focal_length_changed;
-use super::keyframes::{ODOMETRY_SIDE, avoided_keyframes, intrinsics, stamped_pose};
 use super::observer::{Observer, RunContext, Stage};
+use super::odometry::{ODOMETRY_SIDE, avoided_keyframes, intrinsics, stamped_pose};
 use super::online::{self, OnlineFrames};
 use super::preview::MapPreview;
 use super::{PoseSource, RunError, RunOptions, has_small_pictures};
