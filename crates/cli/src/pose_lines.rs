@@ -41,6 +41,9 @@ impl PoseLines {
     ) -> Result<Self, Failure> {
         let refused = |why: &str| Err(Failure::Usage(format!("--poses {}: {why}", path.display())));
         if path != Path::new("-") {
+            if path.is_dir() {
+                return refused("it is a folder, name a file in it");
+            }
             match path.is_file().then(|| has_poses(path)) {
                 Some(true) if !overwrite => {
                     return refused(

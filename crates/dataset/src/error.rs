@@ -70,15 +70,12 @@ pub enum DatasetError {
         expected: &'static str,
     },
     /// No intrinsics: no `camera.json`, no flag, and the folder's name is no known sequence's.
-    #[error(
-        "no camera for {}: {}put a camera.json there with fx, fy, cx, cy, width, height and \
-         depth_scale, name one, or give the four intrinsics or the field of view (a folder named \
-         after freiburg1, freiburg2 or freiburg3 needs none)",
-        folder.display(), mend_first(causes)
-    )]
+    #[error("no camera for {}{}", path.display(), ways_to_name_a_camera(*is_video, causes))]
     NoCamera {
-        /// The folder of the sequence.
-        folder: PathBuf,
+        /// The folder of the sequence, or the video.
+        path: PathBuf,
+        /// Whether it is a video, whose folder may have a camera file of something else.
+        is_video: bool,
         /// Reasons why files with a camera were not used, each a clause.
         causes: Vec<String>,
     },
@@ -228,8 +225,18 @@ const INSTALL: &str = if cfg!(target_os = "macos") {
      `sudo pacman -S ffmpeg`"
 };
 
-fn mend_first(causes: &[String]) -> String {
-    causes.iter().map(|cause| format!("{cause}; ")).collect()
+fn ways_to_name_a_camera(is_video: bool, causes: &[String]) -> String {
+    if is_video {
+        return ", which depth and given poses need: name its camera file (a camera.json beside a video is \
+                not used), or give the four intrinsics or the field of view"
+            .to_owned();
+    }
+    let mend_first: String = causes.iter().map(|cause| format!("{cause}; ")).collect();
+    format!(
+        ": {mend_first}put a camera.json there with fx, fy, cx, cy, width, height and depth_scale, name one, \
+         or give the four intrinsics or the field of view (a folder named after freiburg1, freiburg2 or \
+         freiburg3 needs none)"
+    )
 }
 
 fn no_sequence(has_colour: bool) -> &'static str {

@@ -147,8 +147,16 @@ impl Plot {
     }
 
     fn write(&self, out: &mut String) -> std::fmt::Result {
-        let axes = self.axes();
         let (title, explanation) = (escape(&self.title), escape(&self.explanation));
+        let mut points = self.series.iter().flat_map(|s| &s.points);
+        if points.all(|p| !p.y.is_finite()) {
+            let nothing = "<p>Nothing was estimated.</p>";
+            return write!(
+                out,
+                "<figure class=\"plot\"><figcaption><h3>{title}</h3>{nothing}</figcaption></figure>"
+            );
+        }
+        let axes = self.axes();
         write!(out, "<figure class=\"plot\"><figcaption><h3>{title}</h3><p>{explanation}</p>")?;
         self.write_legend(out)?;
         // The script of the report reads values back from the data attributes.
@@ -349,10 +357,13 @@ impl Axis {
         let (low, high) =
             finite.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
         let (low, high) = if low > high { (0.0, 1.0) } else { (low, high) };
-        // Constant values get a range around them.
-        let min_range = (low.abs().max(high.abs()) * 1e-6).max(1e-9);
-        let (low, high) =
-            if high - low < min_range { (low - min_range, high + min_range) } else { (low, high) };
+        let size = low.abs().max(high.abs());
+        let is_constant = high - low < (1e-6 * size).max(1e-9);
+        let (low, high) = match is_constant {
+            true if size < 1e-9 => (0.0, 1.0),
+            true => (low - 0.1 * size, high + 0.1 * size),
+            false => (low, high),
+        };
         Self::between(low, high, count, tight)
     }
 
@@ -452,8 +463,22 @@ mod tests {
             let axis = Axis::over(values.into_iter(), 4, false);
             assert!(axis.low < axis.high && axis.ticks.len() >= 2, "{axis:?}");
         }
-        let svg = line(&[], Horizontal::Tight).html();
-        assert!(svg.contains("</svg>") && !svg.contains("NaN") && !svg.contains("inf"));
+        let labels = |value: f64| {
+            let axis = Axis::over([value, value].into_iter(), 4, false);
+            axis.ticks.iter().map(|tick| axis.label(*tick)).collect::<Vec<_>>()
+        };
+        assert_eq!(labels(0.0), ["0.0", "0.5", "1.0"]);
+        assert_eq!(labels(1.0), ["0.90", "0.95", "1.00", "1.05", "1.10"]);
+    }
+
+    #[test]
+    fn a_plot_of_nothing_says_so() {
+        for nothing in [&[][..], &[(0.0, f64::NAN), (1.0, f64::NAN)]] {
+            let plot = line(nothing, Horizontal::Tight).html();
+            assert!(plot.contains("Nothing was estimated") && !plot.contains("<svg"), "{plot}");
+        }
+        let zero = line(&[(0.0, 0.0), (1.0, 0.0)], Horizontal::Tight).html();
+        assert!(zero.contains("</svg>") && !zero.contains("NaN") && !zero.contains("inf"));
     }
 
     #[test]

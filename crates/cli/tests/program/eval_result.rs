@@ -212,7 +212,7 @@ fn the_truth_is_on_record_and_another_one_is_pointed_out() {
     let own = room.eval(&[]).exits_with(0);
     assert!(!own.err.contains("the run read"), "{}", own.err);
     let given = i2slam!("eval", room.out, "--reference", other).exits_with(0);
-    given.stderr_contains("warning: the run read").stderr_contains("is evaluated against");
+    given.stderr_contains("note: the run read").stderr_contains("is evaluated against");
     let sections: Value = serde_json::from_str(&room.text("evaluation.json")).expect("JSON");
     let sections = sections.as_array().expect("sections");
     assert_eq!(sections.len(), 2, "another truth is another evaluation");

@@ -357,6 +357,19 @@ fn the_lens_is_found_and_removed() {
 }
 
 #[test]
+fn a_depth_track_is_described_and_asks_for_a_camera() {
+    let footage = Footage::new("video-depth");
+    let video = footage.video_with_depth("depth.mp4", &walk(3, 0.05));
+    let told = footage.i2slam("info", &video, &["--fov", "63.2"]).exits_with(0);
+    let told = told.out.lines().find(|line| line.starts_with("depth ")).expect("depth").to_owned();
+    assert!(!told.contains("none"), "{told}");
+    for (command, status) in [("info", 0), ("run", 1)] {
+        let ran = footage.i2slam(command, &video, &[]).exits_with(status);
+        ran.stderr_contains("no camera for").stderr_contains("depth.mp4, which depth");
+    }
+}
+
+#[test]
 fn a_lens_is_looked_for_only_where_it_can_be() {
     let footage = Footage::new("lens-refused");
     let video = footage.video("wide.mp4", &bent(8));

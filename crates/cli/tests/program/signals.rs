@@ -272,7 +272,10 @@ fn poses_are_written_while_frames_come() {
     let flags = [&FLAGS[..], &["--poses", inside.to_str().expect("a name")]].concat();
     let mut inside = footage.quick("live", Path::new("http://host/flow"), &flags);
     Ran::of(&mut inside).exits_with(2).stderr_contains("among the results");
-    let files = ["--rgb", "--keyframes", "poses.txt", "--poses", "-"];
+    let flags = [&FLAGS[..], &["--poses", footage.scratch.0.to_str().expect("a name")]].concat();
+    let mut folder = footage.quick("folder", Path::new("http://host/flow"), &flags);
+    Ran::of(&mut folder).exits_with(2).stderr_contains("it is a folder");
+    let files = ["--keyframes", "poses.txt", "--poses", "-"];
     footage.run(&video, &files).exits_with(2).stderr_contains("whose poses are known");
 }
 

@@ -91,6 +91,7 @@ fn parse_json(
     let file: CameraFile =
         serde_json::from_str(text).map_err(|e| refuse(format!("{e}; {EXPECTED_JSON}")))?;
     file.check(path)?;
+    check_spelling(path, text)?;
     let expected = "distortion: expected 4, 5 or 8 numbers k1 k2 p1 p2 [k3 [k4 k5 k6]]";
     let distortion = Distortion::from_opencv(&file.distortion);
     let distortion = distortion.ok_or_else(|| refuse(expected.into()))?;
@@ -107,7 +108,40 @@ fn parse_json(
     Ok(Calibration { size: file.width.zip(file.height), ..found })
 }
 
-/// Contents of `camera.json`; unknown keys are ignored.
+/// Keys of `camera.json`.
+const KEYS: [&str; 12] = [
+    "fx",
+    "fy",
+    "cx",
+    "cy",
+    "width",
+    "height",
+    "depth_scale",
+    "fps",
+    "distortion",
+    "distortion_model",
+    "pixel_centre",
+    "convention",
+];
+
+/// Refuses a key that is a missing one but for its case, separators or `center`, and would be ignored.
+fn check_spelling(path: &Path, text: &str) -> Result<(), DatasetError> {
+    let plain = |key: &str| {
+        let letters: String = key.chars().filter(char::is_ascii_alphanumeric).collect();
+        letters.to_lowercase().replace("center", "centre")
+    };
+    let found: BTreeMap<String, IgnoredAny> = serde_json::from_str(text).unwrap_or_default();
+    for key in found.keys().filter(|key| !KEYS.contains(&key.as_str())) {
+        let is_meant = |known: &&&str| !found.contains_key(**known) && plain(known) == plain(key);
+        if let Some(known) = KEYS.iter().find(is_meant) {
+            let reason = format!("unknown key '{key}': did you mean '{known}'?");
+            return Err(DatasetError::file(path, reason));
+        }
+    }
+    Ok(())
+}
+
+/// Contents of `camera.json`; unknown keys are ignored, unless they are [misspelt](check_spelling).
 #[derive(Deserialize)]
 struct CameraFile {
     fx: Option<f64>,

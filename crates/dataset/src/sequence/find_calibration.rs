@@ -10,10 +10,11 @@ use std::path::Path;
 /// Finds the calibration, in this order: flags, the camera file of the options, the folder's
 /// `camera.json`, the layout's own files, the folder's name. An estimated camera replaces any.
 pub(super) fn find_calibration(
-    folder: &Path,
+    path: &Path,
     layout: &DetectedLayout,
     options: &OpenOptions,
 ) -> Result<Calibration, DatasetError> {
+    let folder = if path.is_dir() { path } else { path.parent().unwrap_or(path) };
     let beside = folder.join("camera.json");
     let usual = layout.defaults().with_depth_on_colour_camera();
     // A camera.json in the folder of a video need not belong to it.
@@ -33,7 +34,7 @@ pub(super) fn find_calibration(
         let source = format!("the given field of view of {degrees} degrees");
         Calibration::from_view(FieldOfView::Width(degrees), source, defaults)
     } else if layout.is_video() {
-        assumed_calibration(folder, options, defaults)?
+        assumed_calibration((path, layout), options, defaults)?
     } else {
         match given.transpose()? {
             Some(found) if !found.is_guess => found,
@@ -44,7 +45,7 @@ pub(super) fn find_calibration(
             },
             None => match known_calibration(folder, layout)? {
                 Some(found) => found,
-                None => assumed_calibration(folder, options, defaults)?,
+                None => assumed_calibration((folder, layout), options, defaults)?,
             },
         }
     };
@@ -87,13 +88,13 @@ fn is_of_result(folder: &Path) -> bool {
 
 /// A usual field of view, if the options allow a guess.
 fn assumed_calibration(
-    folder: &Path,
+    (path, layout): (&Path, &DetectedLayout),
     options: &OpenOptions,
     defaults: FormatDefaults,
 ) -> Result<Calibration, DatasetError> {
     if !options.guess_camera {
-        let causes = DetectedLayout::unused_files(folder);
-        return Err(DatasetError::NoCamera { folder: folder.to_path_buf(), causes });
+        let (is_video, causes) = (layout.is_video(), DetectedLayout::unused_files(path));
+        return Err(DatasetError::NoCamera { path: path.to_path_buf(), is_video, causes });
     }
     Ok(Calibration::assumed(defaults))
 }

@@ -116,8 +116,7 @@ impl Sequence {
         layout: &DetectedLayout,
         options: &OpenOptions,
     ) -> Result<Self, DatasetError> {
-        let folder = if path.is_dir() { path } else { path.parent().unwrap_or(path) };
-        let calibration = find_calibration(folder, layout, options);
+        let calibration = find_calibration(path, layout, options);
         let assumed_rate = calibration.as_ref().ok().and_then(|c| c.format.frame_rate);
         let is_rate_given = assumed_rate.is_some();
         let assumed_rate = assumed_rate.unwrap_or(DEFAULT_FRAME_RATE);

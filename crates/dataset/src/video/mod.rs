@@ -294,6 +294,12 @@ fn undecodable(path: &Path, log: &FfmpegLog) -> DatasetError {
             "the file is damaged, cut off, or no video ({message}): the recording or the copy was \
              probably not finished"
         )
+    } else if is_stream(path) && log.mentions("partial file") {
+        format!(
+            "no frame of it can be decoded ({message}): an MP4 ends with its index, so that it cannot be \
+             read while it comes; give the file itself, or send Matroska, MPEG-TS or an MP4 written with \
+             `-movflags +faststart`"
+        )
     } else {
         format!("no frame of it can be decoded, ffmpeg says: {message}")
     };

@@ -74,6 +74,25 @@ fn a_camera_file_may_give_the_frame_rate_alone() {
 }
 
 #[test]
+fn misspelt_keys_of_a_camera_file_are_told() {
+    let folder = Folder::tum(2);
+    for (key, known) in
+        [("depthscale", "depth_scale"), ("FPS", "fps"), ("pixel-center", "pixel_centre")]
+    {
+        let camera = r#"{"fx": 14, "fy": 14, "cx": 7.5, "cy": 5.5, "remark": 1, "KEY": 1}"#;
+        folder.write("camera.json", camera.replace("KEY", key));
+        let told = [format!("unknown key '{key}'"), format!("did you mean '{known}'")];
+        assert_says(
+            Sequence::open(&folder.0, &OpenOptions::default()),
+            &[told[0].as_str(), told[1].as_str()],
+        );
+    }
+    let both = r#"{"fx": 14, "fy": 14, "cx": 7.5, "cy": 5.5, "depth_scale": 500, "depthScale": 1}"#;
+    folder.write("camera.json", both);
+    close(open(&folder, &OpenOptions::default()).depth_scale, 500.0);
+}
+
+#[test]
 fn a_frame_rate_leaves_the_camera_that_a_layout_knows() {
     let folder = Folder::tum(2);
     folder.write("camera.json", r#"{"fps": 24, "depth_scale": 1000}"#);

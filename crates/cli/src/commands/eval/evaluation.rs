@@ -72,7 +72,7 @@ impl Evaluation {
         if let Some((truths, dataset)) = &self.foreign {
             let names: Vec<String> = truths.iter().map(|t| t.display().to_string()).collect();
             remarks.push(format!(
-                "warning: the run read {}, and is evaluated against {}",
+                "note: the run read {}, and is evaluated against {}",
                 dataset.display(),
                 names.join(" and ")
             ));

@@ -12,7 +12,7 @@ use crate::progress::Progress;
 use crate::result_folder::refuse_results;
 use clap::Args;
 use frames::PictureStats;
-use i2slam::dataset::{DatasetError, Sequence, is_video};
+use i2slam::dataset::{DatasetError, Sequence, is_video, is_without_depth};
 use i2slam::{Config, PoseSource, RunOptions};
 use i2slam_result::FrameFiles;
 use sequence::{CameraInfo, SequenceInfo, TimeInfo};
@@ -59,11 +59,18 @@ fn open(arguments: &Info) -> Result<Option<Sequence>, Failure> {
     };
     let with_depth = options(PoseSource::with_depth(&config))?;
     let colour_alone = options(PoseSource::colour_alone())?;
-    if is_video(path) {
+    if is_video(path) && is_without_depth(path) {
         return Ok(Some(Sequence::open(path, &colour_alone)?));
     }
     match Sequence::open(path, &with_depth) {
         Ok(sequence) => Ok(Some(sequence)),
+        Err(error @ DatasetError::NoCamera { is_video: true, .. }) => {
+            let mut sequence = Sequence::open(path, &colour_alone)?;
+            sequence.warnings.push(format!(
+                "its depth is not described: {error} (--camera, --intrinsics, --fov)"
+            ));
+            Ok(Some(sequence))
+        }
         Err(error) if sequence::print_keyframes(arguments, with_depth, &error)? => Ok(None),
         Err(DatasetError::UnknownLayout { has_colour: true, .. }) => {
             Ok(Some(Sequence::open(path, &colour_alone)?))
