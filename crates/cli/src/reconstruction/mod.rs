@@ -161,6 +161,9 @@ fn reconstruct_into(
     warnings.iter().for_each(|warning| progress.warn(warning));
     if let PoseSource::FrontEnd { with_depth: false, .. } = job.options.poses {
         messages::input_lines(sequence).iter().for_each(|line| progress.note(line));
+        if job.options.open.depth_scale.is_some() {
+            progress.note("--depth-scale changes nothing: no depth is read");
+        }
     }
     messages::assumed_rate_line(sequence).iter().for_each(|line| progress.note(line));
     let failure = |error: RunError| {

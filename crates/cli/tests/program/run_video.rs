@@ -363,6 +363,8 @@ fn a_depth_track_is_described_and_asks_for_a_camera() {
     let told = footage.i2slam("info", &video, &["--fov", "63.2"]).exits_with(0);
     let told = told.out.lines().find(|line| line.starts_with("depth ")).expect("depth").to_owned();
     assert!(!told.contains("none"), "{told}");
+    let ran = footage.run(&video, &["--rgb", "--fov", "63.2", "--depth-scale", "777"]);
+    ran.stderr_contains("--depth-scale changes nothing");
     for (command, status) in [("info", 0), ("run", 1)] {
         let ran = footage.i2slam(command, &video, &[]).exits_with(status);
         ran.stderr_contains("no camera for").stderr_contains("depth.mp4, which depth");
