@@ -74,7 +74,7 @@ pub enum DatasetError {
     NoCamera {
         /// The folder of the sequence, or the video.
         path: PathBuf,
-        /// Whether it is a video, whose folder may have a camera file of something else.
+        /// True for a video, beside which no `camera.json` is read.
         is_video: bool,
         /// Reasons why files with a camera were not used, each a clause.
         causes: Vec<String>,

@@ -91,7 +91,8 @@ fn parse_json(
     let file: CameraFile =
         serde_json::from_str(text).map_err(|e| refuse(format!("{e}; {EXPECTED_JSON}")))?;
     file.check(path)?;
-    check_spelling(path, text)?;
+    let keys: BTreeMap<String, IgnoredAny> = serde_json::from_str(text).unwrap_or_default();
+    check_spelling(path, &keys)?;
     let expected = "distortion: expected 4, 5 or 8 numbers k1 k2 p1 p2 [k3 [k4 k5 k6]]";
     let distortion = Distortion::from_opencv(&file.distortion);
     let distortion = distortion.ok_or_else(|| refuse(expected.into()))?;
@@ -100,7 +101,7 @@ fn parse_json(
     let depth_scale = file.depth_scale.unwrap_or(defaults.depth_scale);
     let format =
         FormatDefaults { depth_scale, frame_rate: file.fps.or(defaults.frame_rate), ..defaults };
-    let Some([fx, fy, cx, cy]) = file.intrinsics(path, text)? else {
+    let Some([fx, fy, cx, cy]) = file.intrinsics(path, &keys)? else {
         return Ok(Calibration::assumed(format));
     };
     let k = [fx, fy, cx - shift, cy - shift];
@@ -125,12 +126,11 @@ const KEYS: [&str; 12] = [
 ];
 
 /// Refuses a key that is a missing one but for its case, separators or `center`, and would be ignored.
-fn check_spelling(path: &Path, text: &str) -> Result<(), DatasetError> {
+fn check_spelling(path: &Path, found: &BTreeMap<String, IgnoredAny>) -> Result<(), DatasetError> {
     let plain = |key: &str| {
         let letters: String = key.chars().filter(char::is_ascii_alphanumeric).collect();
         letters.to_lowercase().replace("center", "centre")
     };
-    let found: BTreeMap<String, IgnoredAny> = serde_json::from_str(text).unwrap_or_default();
     for key in found.keys().filter(|key| !KEYS.contains(&key.as_str())) {
         let is_meant = |known: &&&str| !found.contains_key(**known) && plain(known) == plain(key);
         if let Some(known) = KEYS.iter().find(is_meant) {
@@ -169,9 +169,12 @@ impl CameraFile {
         })
     }
 
-    /// `fx fy cx cy` [px]; `None` where the text has a frame rate, depth scale or size alone.
-    fn intrinsics(&self, path: &Path, text: &str) -> Result<Option<[f64; 4]>, DatasetError> {
-        let keys: BTreeMap<String, IgnoredAny> = serde_json::from_str(text).unwrap_or_default();
+    /// `fx fy cx cy` [px]; `None` where the file has a frame rate, depth scale or size alone.
+    fn intrinsics(
+        &self,
+        path: &Path,
+        keys: &BTreeMap<String, IgnoredAny>,
+    ) -> Result<Option<[f64; 4]>, DatasetError> {
         let of_no_camera = ["fps", "depth_scale", "width", "height", "pixel_centre"];
         if !keys.is_empty() && keys.keys().all(|key| of_no_camera.contains(&key.as_str())) {
             return Ok(None);

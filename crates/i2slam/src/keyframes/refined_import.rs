@@ -81,12 +81,7 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> RefinedImport<L> {
         let dense = DenseDepthEstimator::new(camera, views.collect());
         let dense = if found.is_unordered { dense.with_any_order() } else { dense };
         let motions = path.photograph_motions(poses.len(), &mut load, &cancellation);
-        let mut timestamps = vec![None; poses.len()];
-        for (frame, stamp) in found.timestamps.iter().enumerate() {
-            if let Some(of_place) = odometry.position(frame).and_then(|p| timestamps.get_mut(p)) {
-                *of_place = Some(*stamp);
-            }
-        }
+        let timestamps = timestamps(odometry, poses.len());
         let dense = dense.with_cancellation(cancellation);
         let reader = PictureReader::new((0..poses.len()).collect(), load, found.is_unordered);
         Some(Self {
@@ -286,6 +281,21 @@ impl<'a> OdometryPath<'a> {
         }
         patch_correlation(here, (u, v), next, camera.project(seen))
     }
+}
+
+/// Time stamps of `count` pictures, as far as the odometry took them [s].
+fn timestamps<P>(odometry: &MonocularSource<P>, count: usize) -> Vec<Option<f64>>
+where
+    P: FnMut(usize) -> Result<Frame, PictureError>,
+{
+    let mut timestamps = vec![None; count];
+    for (frame, stamp) in odometry.reconstruction().timestamps.iter().enumerate() {
+        let place = odometry.position(frame);
+        if let Some(of_place) = place.and_then(|place| timestamps.get_mut(place)) {
+            *of_place = Some(*stamp);
+        }
+    }
+    timestamps
 }
 
 /// Scale from the path of the odometry to the imported one, by least squares on distances.

@@ -135,7 +135,7 @@ impl<'a, 'b> Driver<'a, 'b> {
 }
 
 impl Driver<'_, '_> {
-    /// Maps all items and refines the map; what ended it early, if anything.
+    /// Maps all items and refines the map; returns the error that ended it early, if any.
     fn map_all(&mut self) -> Option<RunError> {
         let problem = self.attempt(Self::process_all);
         let is_cancelled = self.context.cancellation.is_cancelled();
@@ -145,7 +145,7 @@ impl Driver<'_, '_> {
         self.attempt(Self::finish)
     }
 
-    /// The error of a step. Frames that its cancellation leaves unprocessed keep the poses known of them.
+    /// Takes a step and returns its error; after cancellation, frames not processed keep their known poses.
     fn attempt(
         &mut self,
         step: impl FnOnce(&mut Self) -> Result<(), RunError>,
@@ -191,7 +191,7 @@ impl Driver<'_, '_> {
         }
     }
 
-    /// Why a complete result is not what was asked for.
+    /// Reasons for which a complete result is not what was asked for.
     fn shortfalls(&self, options: &RunOptions) -> Vec<String> {
         let Self { session, input, .. } = self;
         let number = match input.kind.stage {

@@ -95,13 +95,13 @@ pub(super) fn open(
     })
 }
 
-/// Reads the pictures of a sequence by their place.
+/// A loader of the pictures of a sequence, by position.
 fn loader(sequence: &Sequence) -> BoxedLoader {
     let sequence = sequence.clone();
     Box::new(move |place| picture(&sequence, place))
 }
 
-/// What a source knows of the path, by the indices of its frames.
+/// Poses and deviations that a source has found, by frame index.
 fn known_path(source: &OdometrySource, sequence: &Sequence) -> KnownPath {
     let index = |place: usize| sequence.entries.get(place).map(|entry| entry.index);
     let poses = source.trajectory().into_iter();

@@ -31,23 +31,13 @@ impl Curvature {
     /// The curvature along a residual of length `n` [standard deviations].
     fn along(self, n: f64) -> f64 {
         let beyond = n - HUBER_THRESHOLD;
-        let tail = 0.5 * (-0.717 * beyond.abs() - 0.416 * beyond * beyond).exp();
-        match self {
-            Self::Majorizing => huber(n).0,
-            Self::Exact => {
-                if beyond > 0.0 {
-                    MIN_CURVATURE
-                } else {
-                    1.0
-                }
-            }
-            Self::Smoothed => {
-                if beyond > 0.0 {
-                    tail.max(MIN_CURVATURE)
-                } else {
-                    1.0 - tail
-                }
-            }
+        let tail = || 0.5 * (-0.717 * beyond.abs() - 0.416 * beyond * beyond).exp();
+        match (self, beyond > 0.0) {
+            (Self::Majorizing, _) => huber(n).0,
+            (Self::Exact, false) => 1.0,
+            (Self::Exact, true) => MIN_CURVATURE,
+            (Self::Smoothed, false) => 1.0 - tail(),
+            (Self::Smoothed, true) => tail().max(MIN_CURVATURE),
         }
     }
 }
