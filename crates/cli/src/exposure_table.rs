@@ -25,16 +25,21 @@ fn tones(text: &str) -> Result<Vec<TrueTone>, String> {
     let column = |name: &str| names.iter().position(|n| *n == name);
     let exposure = column("dt").ok_or("it has no column `dt`")?;
     let [red, green, blue] = ["wb_r", "wb_g", "wb_b"].map(column);
-    let rows = lines.enumerate().filter(|(_, line)| !line.trim().is_empty());
-    let rows = rows.map(|(row, line)| {
+    let rows = lines.enumerate().filter(|(_, line)| !line.trim().is_empty()).enumerate();
+    let rows = rows.map(|(row, (line_before, line))| {
+        let number_of_line = line_before + 2;
         let cells: Vec<&str> = line.split(',').map(str::trim).collect();
         let number = |i: usize| cells.get(i).and_then(|cell| cell.parse::<f64>().ok());
         let gains = || Some([number(red?)?, number(green?)?, number(blue?)?]);
-        let frame = column("frame").map_or(Some(row as f64), number).map(|frame| frame as usize);
         let positive = |value: &f64| value.is_finite() && *value > 0.0;
-        let known = frame.zip(number(exposure).filter(positive));
-        let (frame, exposure) =
-            known.ok_or_else(|| format!("line {} has no exposure above 0", row + 2))?;
+        let numbered = |i: usize| {
+            let frame = cells.get(i).and_then(|cell| cell.parse().ok());
+            frame.ok_or_else(|| format!("line {number_of_line} has no frame number, as 0 or 12"))
+        };
+        let frame = column("frame").map_or(Ok(row), numbered)?;
+        let exposure = number(exposure)
+            .filter(positive)
+            .ok_or_else(|| format!("line {number_of_line} has no exposure above 0"))?;
         let white_balance = gains().filter(|gains| gains.iter().all(positive));
         Ok(TrueTone { frame, exposure, white_balance })
     });
@@ -56,5 +61,16 @@ mod tests {
         assert_eq!(bare[1].white_balance, None);
         assert!(tones("ev\n1\n").unwrap_err().contains("`dt`"));
         assert!(tones("dt\n1\n0\n").unwrap_err().contains("line 3"));
+    }
+
+    #[test]
+    fn rows_are_counted_without_blank_lines_and_frames_are_whole_numbers() {
+        let blank = tones("dt\n1\n\n2\n").expect("a table");
+        assert_eq!((blank[1].frame, blank[1].exposure), (1, 2.0));
+        assert!(tones("dt\n1\n\n0\n").unwrap_err().contains("line 4"));
+        for wrong in ["-1", "2.7", ""] {
+            let message = tones(&format!("frame,dt\n{wrong},1\n")).unwrap_err();
+            assert!(message.contains("line 2 has no frame number"), "{message}");
+        }
     }
 }

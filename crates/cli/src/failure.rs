@@ -62,6 +62,7 @@ impl From<DatasetError> for Failure {
             )),
             DatasetError::MissingFolder { .. }
             | DatasetError::OnePicture { .. }
+            | DatasetError::FolderOfVideo { .. }
             | DatasetError::Empty { .. }
             | DatasetError::UnknownLayout { .. }
             | DatasetError::UnknownImport { .. } => Self::Usage(error.to_string()),

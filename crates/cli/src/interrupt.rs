@@ -2,6 +2,7 @@
 
 use crate::console::print_status;
 use i2slam::CancellationToken;
+use std::path::PathBuf;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -10,6 +11,9 @@ static REQUESTED: AtomicBool = AtomicBool::new(false);
 
 /// When the last first signal came.
 static SINCE: Mutex<Option<Instant>> = Mutex::new(None);
+
+/// What a stream recorded so far, which a second signal leaves.
+static RECORDING: Mutex<Option<PathBuf>> = Mutex::new(None);
 
 /// Whether a stream is being read, which the first signal ends in place of the run.
 static READING: AtomicBool = AtomicBool::new(false);
@@ -23,6 +27,9 @@ pub(crate) fn listen() {
 pub(crate) fn listen_for(answer: &'static str) {
     let handler = move || {
         if REQUESTED.swap(true, Ordering::SeqCst) {
+            if let Some(path) = RECORDING.lock().ok().and_then(|path| path.clone()) {
+                print_status(&format!("the recorded stream is left in {}", path.display()));
+            }
             std::process::exit(130);
         }
         if let Ok(mut since) = SINCE.lock() {
@@ -42,6 +49,13 @@ pub(crate) fn listen_for(answer: &'static str) {
 /// A stream that may have no end is read: Ctrl-C ends the reading, which polls [`requested`], and not
 /// the run.
 pub(crate) struct Reading(());
+
+/// Names the file in which a stream is recorded while it is there, `None` when it is removed.
+pub(crate) fn set_recording(path: Option<PathBuf>) {
+    if let Ok(mut recording) = RECORDING.lock() {
+        *recording = path;
+    }
+}
 
 impl Reading {
     pub(crate) fn start() -> Self {

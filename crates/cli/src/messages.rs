@@ -244,7 +244,7 @@ pub(super) fn print_summary(
     }
     if let Some(assumed) = metrics.focal_length_assumed_px {
         let found = (metrics.focal_length_px, metrics.horizontal_fov_deg);
-        print(&focal_length_line(found, None, assumed));
+        print(&focal_length_line(found, metrics.focal_length_deviation, assumed));
     }
     if let Some([k1, k2]) = metrics.lens_distortion {
         print(&format!(
@@ -252,7 +252,8 @@ pub(super) fn print_summary(
         ));
     }
     match rolling_shutter_line(metrics.rolling_shutter_readout_s) {
-        Some(line) => print(&line),
+        Some(line) if metrics.complete => print(&line),
+        Some(line) => print(&format!("{line}, as far as it was found")),
         None if is_readout_estimated => {
             print("rolling shutter: none found, rows read at once (0.0 ms)");
         }
@@ -276,6 +277,16 @@ pub(super) fn print_summary(
     }
 }
 
+/// A path as a shell reads it as one word.
+pub(super) fn quoted(path: &Path) -> String {
+    let text = path.display().to_string();
+    let is_plain = |c: char| c.is_alphanumeric() || "/._-+,:@%".contains(c);
+    match text.chars().all(is_plain) {
+        true => text,
+        false => format!("'{}'", text.replace('\'', r"'\''")),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -296,6 +307,12 @@ mod tests {
         let line = not_placed_line(&Metrics { tracked: 2, ..metrics }, &files).expect("ten");
         assert!(line.starts_with("10 of 12 photographs have no pose"), "{line}");
         assert!(line.contains(": 0.jpg, 1.jpg,") && line.ends_with("7.jpg and 2 more"), "{line}");
+    }
+
+    #[test]
+    fn paths_with_spaces_are_quoted() {
+        assert_eq!(quoted(Path::new("res/a-1.b")), "res/a-1.b");
+        assert_eq!(quoted(Path::new("it's mine")), r"'it'\''s mine'");
     }
 
     #[test]

@@ -237,12 +237,12 @@ impl Observer for Progress {
             0 => String::new(),
             count => format!("{count} Gaussians  "),
         };
-        let figures = format!(
-            "{}loss {:.4}  {size}blur {:.1} px",
-            seconds.unwrap_or_default(),
-            estimate.losses.image,
-            estimate.blur_length
-        );
+        let losses = match estimate.losses.image {
+            // Not measured: the frame is not refined, or not yet.
+            0.0 => String::new(),
+            loss => format!("loss {loss:.4}  blur {:.1} px", estimate.blur_length),
+        };
+        let figures = format!("{}{size}{losses}", seconds.unwrap_or_default());
         match &self.display {
             Display::Bar(bar) => {
                 bar.set_position(done as u64);

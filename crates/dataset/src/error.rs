@@ -39,6 +39,14 @@ pub enum DatasetError {
         /// The picture.
         path: PathBuf,
     },
+    /// A folder of a video in place of the video.
+    #[error("{} holds a video, and is no sequence itself: name the video, {}", path.display(), video.display())]
+    FolderOfVideo {
+        /// The folder.
+        path: PathBuf,
+        /// The first video in it, by name.
+        video: PathBuf,
+    },
     /// ffmpeg, which decodes and encodes videos, cannot be started.
     #[error(
         "a video needs the program ffmpeg, and {} cannot be started ({source}){}: \

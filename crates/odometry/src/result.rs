@@ -113,7 +113,7 @@ impl Reconstruction {
         self
     }
 
-    /// Moves all poses to another world, `to_from_world`.
+    /// Moves all poses to another world, `to_from_world`; those of when frames came stay in theirs.
     pub fn transform(&mut self, to_from_world: &Pose<f64>) {
         let poses = self.poses.iter_mut().flatten();
         let keyframes = self.keyframes.iter_mut().map(|k| &mut k.world_from_camera);

@@ -109,7 +109,7 @@ pub enum Warning {
     },
     /// Another focal length than the given one fits much better.
     #[error(
-        "the focal length was given as {given:.1} px ({:.1} degrees across), but {fitting:.1} px ({:.1} degrees) fits the pictures much better: check it, or let it be estimated",
+        "the focal length was given as {given:.1} px at a width of {width} ({:.1} degrees across), but {fitting:.1} px ({:.1} degrees) fits the pictures much better: check it, or by colour alone leave it out, to have it estimated",
         field_of_view(*.width, *.given), field_of_view(*.width, *.fitting)
     )]
     FocalLengthMismatch {

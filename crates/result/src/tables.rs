@@ -173,9 +173,13 @@ pub(crate) fn responses(reconstruction: &Reconstruction) -> String {
     text += if curves == 1 { ",output\n" } else { ",output_r,output_g,output_b\n" };
     for (i, response) in reconstruction.responses.iter().enumerate() {
         let curve = response.curve();
-        let frame = per_frame.then(|| first_frame_of(reconstruction, i)).flatten();
+        let frame = first_frame_of(reconstruction, i);
+        // Frames that were taken out of the map leave their responses.
+        if per_frame && frame.is_none() {
+            continue;
+        }
         for (node, input) in curve.positions().iter().enumerate() {
-            if let Some(frame) = frame {
+            if let Some(frame) = frame.filter(|_| per_frame) {
                 // Writing to a string cannot fail.
                 write!(text, "{frame},").ok();
             }

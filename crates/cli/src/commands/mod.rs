@@ -11,6 +11,7 @@ mod presets;
 mod render;
 mod run;
 mod synth;
+mod views;
 
 use crate::failure::Failure;
 use crate::recording::Recorder;

@@ -1,5 +1,6 @@
 //! `i2slam render`: renders a saved result from its own poses or from others.
 
+use super::views::read_views;
 use crate::arguments::{Machine, existing_path, frame_range, numbers};
 use crate::console::{counted, print, print_status};
 use crate::failure::Failure;
@@ -8,7 +9,6 @@ use crate::messages::{note_displaced, note_edited_trajectory, note_saved_parts};
 use crate::progress::Progress;
 use crate::result_folder::refuse_non_results;
 use clap::Args;
-use i2slam::dataset::read_trajectory;
 use i2slam::geometry::{Image, Pose, Rotation, Vec3};
 use i2slam::{FrameEstimate, Reconstruction, Viewer};
 use i2slam_result::{RenderKind, save_render};
@@ -287,7 +287,7 @@ fn frames(
         return Ok(vec![reconstruction.virtual_frame(0, pose)]);
     }
     if let Some(file) = &arguments.poses {
-        let poses = read_trajectory(file)?.into_iter().enumerate();
+        let poses = read_views(file)?.into_iter().enumerate();
         return Ok(poses
             .map(|(i, pose)| FrameEstimate {
                 timestamp: pose.timestamp,

@@ -84,8 +84,7 @@ fn refuse_dataset(dataset: &Path, out: &Path) -> Result<(), Failure> {
     };
     if same_folder {
         return Err(Failure::Usage(format!(
-            "--out {} is the dataset itself: its camera.json would be overwritten, choose \
-             another folder",
+            "--out {} is the dataset itself, choose another folder",
             out.display()
         )));
     }
@@ -214,7 +213,7 @@ fn reconstruct_into(
     messages::print_summary(print, &metrics, (&map, &not_placed), &folder, is_readout_estimated);
     let is_map_empty = metrics.gaussians == 0 && metrics.degraded;
     if interrupted && !is_map_empty && job.renders != RenderSelection::None {
-        let folder = folder.display();
+        let folder = messages::quoted(&folder);
         print_status(&format!("interrupted before all renders: i2slam render {folder} makes them"));
     }
     ended
@@ -237,10 +236,14 @@ pub(crate) fn run_stream(
     let progress = Progress::new(0, job.quiet)
         .with_poses(job.poses.clone())
         .with_live_viewer(job.live.clone());
+    interrupt::set_recording(Some(live.recording()));
     let (tracked, recorded) = track_stream(job, live, &progress)?;
     drop(reading);
     let (path, sequence) = (recorded.path(), &recorded.sequence);
-    reconstruct_into(output_folder(job)?, job, (&path, sequence), Some((tracked, progress)))
+    let ended =
+        reconstruct_into(output_folder(job)?, job, (&path, sequence), Some((tracked, progress)));
+    interrupt::set_recording(None);
+    ended
 }
 
 fn track_stream(

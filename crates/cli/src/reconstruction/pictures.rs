@@ -141,7 +141,7 @@ impl PictureRenderer<'_> {
         let measure = || {
             taken.iter().for_each(|taken| metrics.blurred(&blurred, taken));
             let apart = self.sequence.len().div_ceil(MAX_RADIANCE).max(1);
-            if frame.index.is_multiple_of(apart) {
+            if self.position(frame).is_some_and(|position| position.is_multiple_of(apart)) {
                 metrics.radiance(&hdr, self.truth, frame.index);
             }
         };

@@ -106,6 +106,7 @@ impl FinishedRun<'_> {
             reconstruction,
             metrics: &measurements.metrics,
             ground_truth: &measurements.truth_in_world,
+            metres_per_unit: measurements.metres_per_unit,
             true_exposure: &self.truth.exposures(),
             comparisons: &rendered.comparisons,
             files: &files,
@@ -182,11 +183,15 @@ fn place(
 
 /// Smallest range of true exposures [stops]: below, a correlation would be one of noise.
 const MIN_EXPOSURE_RANGE: f64 = 0.1;
+/// Ratio of lengths to the true ones from which the scale of depth is taken to be wrong.
+const MAX_LENGTH_RATIO: f64 = 1.2;
 
 /// Metrics, and the true poses aligned to the estimate.
 struct Measurements {
     metrics: Metrics,
     truth_in_world: Vec<StampedPose>,
+    /// Length of the estimate's unit by the truth \[m\].
+    metres_per_unit: f64,
     /// Measurements that failed, with reasons.
     warnings: Vec<String>,
 }
@@ -215,7 +220,12 @@ impl Measurements {
                 metrics.rolling_shutter_readout_s = camera.rolling_shutter_readout;
             }
         }
-        let mut measurements = Self { metrics, truth_in_world: Vec::new(), warnings: Vec::new() };
+        let mut measurements = Self {
+            metrics,
+            truth_in_world: Vec::new(),
+            metres_per_unit: 1.0,
+            warnings: Vec::new(),
+        };
         measurements.measure_trajectory(outcome, sequence, truth);
         measurements.measure_exposure(outcome, truth);
         measurements
@@ -239,7 +249,18 @@ impl Measurements {
                 self.metrics.ate_rmse_m = Some(error.ate_rmse_m);
                 self.metrics.ate_mean_m = Some(error.ate_mean_m);
                 self.metrics.ate_poses = error.pairs;
+                let lengths = truth.trajectory_error(&path, Alignment::Sim3).ok().flatten();
+                let ratio =
+                    lengths.map_or(1.0, |(error, _)| error.truth_from_estimate.scale.recip());
+                if !scaled && ratio.ln().abs() > MAX_LENGTH_RATIO.ln() {
+                    let (given, fits) = (sequence.depth_scale, sequence.depth_scale * ratio);
+                    self.warnings.push(format!(
+                        "lengths are {ratio:.3} times the true ones: wrong depth scale? With {fits:.0} in place \
+                         of {given} for one metre (--depth-scale) they would be right"
+                    ));
+                }
                 self.truth_in_world = aligned;
+                self.metres_per_unit = error.truth_from_estimate.scale;
             }
             Ok(None) => {}
             Err(failure) => {

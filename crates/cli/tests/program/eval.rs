@@ -138,6 +138,12 @@ fn bare_trajectories_are_compared() {
     assert_eq!(figures["rpe_step"], serde_json::json!({"seconds": 0.5}));
     let table = compare(&["--rpe", "3"]).exits_with(0).out;
     assert!(table.contains("RPE rotation") && table.contains("over 3 frames"), "{table}");
+    let long = compare(&["--rpe", "100"]).exits_with(0).out;
+    assert!(
+        long.contains("ATE RMSE") && long.contains("no two poses are 100 frames apart"),
+        "{long}"
+    );
+    assert!(json(&compare(&["--json", "--rpe", "100"]))["rpe_rotation_rmse_deg"].is_null());
     compare(&["--rpe", "0"]).exits_with(2).stderr_contains("0.5s");
     compare(&["--protocol", "monogs"]).exits_with(2).stderr_contains("frames.csv");
 

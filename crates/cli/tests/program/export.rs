@@ -189,6 +189,39 @@ fn nothing_but_an_earlier_export_is_replaced() {
     i2slam!("export", room.out, "--format", "nerfstudio", "--out", nerfstudio; again).exits_with(0);
 }
 
+/// Whoever edits a path may lose a day's work with it.
+#[test]
+fn a_path_that_is_replaced_is_kept_beside_it() {
+    let room = reconstructed("previous");
+    let out = export(&room, "tum", "path.txt", &[]);
+    let edited = fs::read_to_string(&out).expect("a path") + "# my own move\n";
+    fs::write(&out, &edited).expect("room");
+    let again = i2slam!("export", room.out, "--format", "tum", "--out", out; ["--overwrite"]);
+    let previous = room.scratch.join("path.txt.previous");
+    again.exits_with(0).stderr_contains("path.txt.previous");
+    assert_eq!(fs::read_to_string(&previous).ok(), Some(edited));
+    fs::write(&previous, "mine").expect("room");
+    i2slam!("export", room.out, "--format", "tum", "--out", out; ["--overwrite"])
+        .exits_with(2)
+        .stderr_contains("move it away");
+    assert_eq!(fs::read_to_string(&previous).ok().as_deref(), Some("mine"));
+}
+
+#[test]
+fn views_of_another_world_are_refused() {
+    let room = reconstructed("levelled");
+    let levelled = export(&room, "tum", "levelled.txt", &[]);
+    let kept = export(&room, "tum", "kept.txt", &["--up", "keep"]);
+    let out = room.scratch.join("views");
+    let render = |poses: &Path| i2slam!("render", room.out, "--poses", poses, "--out", out);
+    render(&levelled).exits_with(1).stderr_contains("--up keep");
+    render(&kept).exits_with(0);
+    let film = room.scratch.join("film.mp4");
+    i2slam!("export", room.out, "--format", "video", "--poses", levelled, "--out", film)
+        .exits_with(1)
+        .stderr_contains("levelled world");
+}
+
 #[test]
 fn what_cannot_be_exported_is_told() {
     let room = reconstructed("refused");

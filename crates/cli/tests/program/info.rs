@@ -82,6 +82,9 @@ fn an_unknown_folder_is_answered_with_the_layouts() {
     {
         assert!(err.contains(word), "{word} is not in: {err}");
     }
+    fs::write(scratch.join("b.mp4"), "").expect("room");
+    let err = i2slam!("info", scratch.0).exits_with(2).err;
+    assert!(err.contains("name the video") && err.contains("b.mp4"), "{err}");
     let err = i2slam!("info", scratch.join("none")).exits_with(2).err;
     assert!(err.contains("no file or folder"), "{err}");
 }

@@ -39,7 +39,7 @@ fn a_run_that_found_nothing_ends_with_exit_status_1() {
         ),
         (
             &["--intrinsics", "1e-5", "1e-5", "48", "36"],
-            "intrinsics that are not in pixels? With a focal length of 0.00001 px",
+            "with a focal length of 0.00001 px and the principal point at 48.5, 36.5",
             "the map was empty",
         ),
     ];

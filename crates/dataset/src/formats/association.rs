@@ -146,9 +146,12 @@ pub(super) fn time_warnings(dropped: &DroppedFrames, rules: AssociationRules) ->
         (
             dropped.too_close,
             "frame",
-            format!(
-                "no more than {minimum_gap} s after the frame before (minimum_gap; 0 keeps all)"
-            ),
+            match minimum_gap {
+                0.0 => "of the same time stamp as the frame before".to_owned(),
+                _ => format!(
+                    "no more than {minimum_gap} s after the frame before (minimum_gap; 0 keeps all)"
+                ),
+            },
         ),
     ];
     let some = all.into_iter().filter(|(count, ..)| *count > 0);

@@ -120,9 +120,18 @@ fn unknown_layout(path: &Path, found: String, has_colour: bool) -> DatasetError 
     if path.is_file() && file_pairing::has_image_name(path) {
         return DatasetError::OnePicture { path: path.to_path_buf() };
     }
+    if let Some(video) = first_video(path).filter(|_| !has_colour) {
+        return DatasetError::FolderOfVideo { path: path.to_path_buf(), video };
+    }
     let line = |layout: Layout| format!("\n  {:<26}{}", layout.name(), layout.recognised_by());
     let known = Layout::ALL.into_iter().map(line).collect();
     DatasetError::UnknownLayout { path: path.to_path_buf(), found, has_colour, known }
+}
+
+/// The first video in a folder, by name.
+fn first_video(folder: &Path) -> Option<PathBuf> {
+    let entries = std::fs::read_dir(folder).ok()?.filter_map(Result::ok).map(|entry| entry.path());
+    entries.filter(|path| is_video(path)).min()
 }
 
 /// A recognised sequence, its metadata files opened.

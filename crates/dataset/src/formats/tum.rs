@@ -10,6 +10,8 @@ use i2slam_geometry::{Pose, Rotation, StampedPose, Trajectory, Vec3};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
+/// Largest offset of two clocks [s]: stamps farther apart are in other units than seconds.
+const MAX_CLOCK_OFFSET: f64 = 1e6;
 const COLUMNS: [&str; 8] = ["time stamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw"];
 
 /// Reads `world_from_camera` poses [s, m] in the TUM format, sorted by time.
@@ -172,9 +174,12 @@ pub(super) fn list_by_time(
     }
     let needs_depth = depth.is_some() && !options.colour_only;
     if association.pairs.is_empty() || needs_depth && association.with_depth() == 0 {
+        let check = match association.nearest_gap > MAX_CLOCK_OFFSET {
+            true => "time stamps are in seconds, not in parts of one",
+            false => "check that both use one clock",
+        };
         let reason = format!(
-            "none of {} colour images has a depth image within {} s; the nearest is {:.3} s away: \
-             check that both use one clock, or raise the tolerance",
+            "none of {} colour images has a depth image within {} s; the nearest is {:.3} s away: {check}",
             colour.len(),
             rules.tolerance,
             association.nearest_gap

@@ -245,10 +245,13 @@ pub(super) fn thin(found: &mut ReadKeyframes, minimum_gap: f64) {
     });
     let count = all - found.keyframes.len();
     if count > 0 {
-        let reason = format!(
-            "{count} of {all} poses left out: their pictures follow others by no more than \
-             {minimum_gap} s (minimum_gap; 0 keeps all)"
-        );
+        let why = match minimum_gap {
+            0.0 => "have the time stamps of others".to_owned(),
+            _ => {
+                format!("follow others by no more than {minimum_gap} s (minimum_gap; 0 keeps all)")
+            }
+        };
+        let reason = format!("{count} of {all} poses left out: their pictures {why}");
         found.count_dropped(count, reason);
     }
 }

@@ -94,9 +94,9 @@ pub(super) fn camera_warning(recorded: &RecordingCameras, source: &str) -> Optio
     let degrees = camera.horizontal_field_of_view().to_degrees();
     if !PLAUSIBLE_VIEW.contains(&degrees) {
         return Some(format!(
-            "intrinsics that are not in pixels? With a focal length of {} px {source} sees {degrees:.1} \
-             degrees across in pictures of {}x{}",
-            camera.fx, camera.width, camera.height
+            "intrinsics that are not in pixels? By {source}, with a focal length of {} px and the principal \
+             point at {}, {}, a picture of {}x{} shows {degrees:.1} degrees across",
+            camera.fx, camera.cx, camera.cy, camera.width, camera.height
         ));
     }
     let odd = [&recorded.colour, &recorded.depth]

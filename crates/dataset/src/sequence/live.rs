@@ -103,6 +103,11 @@ impl LiveSequence {
         &self.first
     }
 
+    /// Path of the video that is recorded, which grows, and is removed in the end.
+    pub fn recording(&self) -> PathBuf {
+        self.recording.path()
+    }
+
     /// True if the stream has a depth track. Its first frame may lack depth.
     pub fn has_depth(&self) -> bool {
         self.first.loader.video.as_deref().is_some_and(Video::has_depth)

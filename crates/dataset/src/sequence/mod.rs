@@ -1,5 +1,6 @@
 //! Opened sequences: which frames there are, their camera, and how frames are loaded.
 
+mod black_bars;
 mod checks;
 mod delivery;
 mod exif_consistency;
@@ -18,6 +19,7 @@ use crate::formats::{DetectedLayout, DroppedFrames, FrameEntry, Layout, Listing,
 use crate::image::{RecordingCameras, image_size};
 use crate::video::{is_stream, is_video, refused_stream};
 use crate::{DatasetError, OpenOptions};
+use black_bars::black_bars_warning;
 use checks::{camera_warning, coverage_warning, depth_scale_warning, recording_cameras};
 use delivery::delivery;
 use exif_consistency::{check_exif_consistency, orientation_note};
@@ -180,6 +182,7 @@ impl Sequence {
         warnings.extend(camera_warning(&cameras, &calibration.source));
         warnings.extend(depth_scale_warning(&entries, &loader));
         warnings.extend(coverage_warning(&loader.resampler));
+        warnings.extend(black_bars_warning(&entries, &loader, recorded_size));
         Ok(Self {
             name,
             layout: listing.layout,

@@ -13,6 +13,10 @@ use std::process::{Child, Command, Stdio};
 /// Environment variable with the path of ffmpeg.
 const FFMPEG_VARIABLE: &str = "I2SLAM_FFMPEG";
 
+/// Filters of pictures that are encoded: even sides, and the colours of BT.709 as the file says.
+const ENCODED: &str =
+    "crop=trunc(iw/2)*2:trunc(ih/2)*2:0:0,scale=out_color_matrix=bt709:out_range=tv";
+
 /// Option that outputs every frame once whatever its time, since ffmpeg 5.1 and before.
 const PASSTHROUGH: [[&str; 2]; 2] = [["-fps_mode", "passthrough"], ["-vsync", "0"]];
 
@@ -153,7 +157,10 @@ impl Ffmpeg {
         command.args(["-hide_banner", "-nostats", "-v", "error", "-n", "-f", "rawvideo"]);
         command.args(["-pix_fmt", "rgb24", "-s", &format!("{width}x{height}")]);
         command.args(["-r", &format.rate.to_string(), "-i", "-"]);
-        command.args(["-vf", "crop=trunc(iw/2)*2:trunc(ih/2)*2:0:0", "-pix_fmt", "yuv420p"]);
+        command.args(["-vf", ENCODED, "-pix_fmt", "yuv420p"]);
+        // Players take what is not said for BT.709 or for BT.601, by the size.
+        command.args(["-colorspace", "bt709", "-color_primaries", "bt709"]);
+        command.args(["-color_trc", "bt709", "-color_range", "tv"]);
         command.args(codec).args(["-movflags", "+faststart"]);
         command.args(["-metadata", &format!("comment={}", format.comment), "-f", "mp4"]);
         command.arg(whole).stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::piped());

@@ -92,6 +92,15 @@ pub(crate) struct VideoPart {
     pub(crate) frame_rate: f64,
 }
 
+/// Warning of a video whose colours are not those of BT.709.
+fn hdr_warning(transfer: &str) -> String {
+    format!(
+        "the video is of high dynamic range ({transfer}), which is read as if it were standard: colours come \
+         out pale; film without HDR, or convert it, as with ffmpeg -i IN -vf zscale=t=linear:npl=100,\
+         tonemap=hable,zscale=p=bt709:t=bt709:m=bt709,format=yuv420p OUT.mp4"
+    )
+}
+
 impl Video {
     /// Counts the pictures of a part.
     pub(crate) fn open(path: &Path, part: VideoPart) -> Result<VideoListing, DatasetError> {
@@ -114,7 +123,7 @@ impl Video {
         // ffmpeg logs a few more frames than asked for before it ends.
         let all = log.frames.len();
         let count = end.map_or(all, |end| all.min(end));
-        let mut warnings = Vec::new();
+        let mut warnings: Vec<String> = first.hdr.map(hdr_warning).into_iter().collect();
         let timestamps = timestamps(&log, count, frame_rate, &mut warnings);
         let is_whole = end.is_none_or(|end| all < end);
         warnings.extend(damage_warning(&log, &timestamps).filter(|_| is_whole));

@@ -104,7 +104,13 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> RefinedImport<L> {
         let depth = if self.has_depth { "" } else { "; depth is found by matching" };
         let which = match (self.is_refined, self.correlations) {
             (true, None) => "poses are adjusted to what the photographs show",
-            (false, None) => "the imported poses are kept: the pictures show no errors of theirs",
+            (false, None) if self.is_unordered => {
+                "the imported poses are kept: the pictures show no errors of theirs"
+            }
+            (false, None) => {
+                "the imported poses are used as they are, unchecked: too few frames could be posed by their \
+                 pictures"
+            }
             (true, Some(_)) => "poses are refined by their pictures",
             (false, Some(_)) => "the imported poses are kept",
         };

@@ -310,9 +310,9 @@ impl Driver<'_, '_> {
             .filter(|(index, stamp, pose)| self.session.insert_unrefined(*index, *stamp, *pose));
         let count = kept.count();
         if count > 0 {
-            let frames = if count == 1 { "frame" } else { "frames" };
+            let have = if count == 1 { "frame has" } else { "frames have" };
             self.context.warn(format!(
-                "ended early: {count} {frames} have a pose, but neither exposure nor motion blur was estimated"
+                "ended early: {count} {have} a pose, but neither exposure nor motion blur was estimated"
             ));
         }
     }

@@ -247,7 +247,7 @@ pub struct RunOutcome {
     /// Why the result is not what was asked for, a sentence each; empty if it is: less than half of the frames
     /// or photographs was tracked, the map is empty, no frame was held out, no readout was found.
     pub shortfalls: Vec<String>,
-    /// Camera as estimated from the pictures; only by colour alone.
+    /// Camera as estimated from the pictures; `None` where poses are not found from them.
     pub camera: Option<CameraEstimate>,
     /// The sequence as it was used, if an estimated lens distortion was removed from it.
     pub undistorted: Option<Sequence>,

@@ -41,6 +41,8 @@ pub(super) struct OnlineFrames {
     pub(super) given: GivenPictures,
     /// Time stamp of the first frame [s].
     first: Option<f64>,
+    /// One of so many frames of the camera comes.
+    stride: usize,
     /// That the map counts on [1/s].
     frame_rate: f64,
 }
@@ -59,7 +61,8 @@ impl OnlineFrames {
         let on_mapped = listener(sequence, context, Arc::clone(&mapped));
         let session = OnlineSession::of(session, large.camera, on_mapped);
         let (given, frame_rate) = (GivenPictures::default(), sequence.frame_rate);
-        Self { session, mapped, given, first: None, frame_rate }
+        let (first, stride) = (None, options.open.stride);
+        Self { session, mapped, given, first, stride, frame_rate }
     }
 
     /// Tracks the frame of a camera at a position, in the sizes that are tracked and mapped; returns its
@@ -70,7 +73,8 @@ impl OnlineFrames {
             None => self.first = Some(tracked.timestamp),
             // No frame is mapped before.
             Some(first) if position == 1 && tracked.timestamp > first => {
-                self.frame_rate = (tracked.timestamp - first).recip();
+                // That of the camera: frames that are left out count.
+                self.frame_rate = self.stride as f64 / (tracked.timestamp - first);
                 self.session.set_frame_rate(self.frame_rate);
             }
             Some(_) => {}

@@ -1,6 +1,6 @@
 //! Rolling shutter: estimation of the readout and correction of observations.
 //!
-//! Row `r` of `H` is exposed at `stamp + readout (r / H - ½)`. The motion of the camera gives how far
+//! Row `r` of `H` is exposed at `stamp + readout ((r + ½) / H - ½)`. The motion of the camera gives how far
 //! a point moves in that time; its position is corrected to the moment of the middle row. The
 //! readout of least cost is searched.
 

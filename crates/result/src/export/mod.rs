@@ -35,7 +35,7 @@ pub use error::ExportError;
 pub use html::html;
 pub use level::Up;
 pub use scene::{CropBox, Scene, Selection};
-pub use tables::{CSV_COLUMNS, csv, tum};
+pub use tables::{CSV_COLUMNS, LEVELLED, csv, tum};
 pub use views::LoadTaken;
 pub use watch::Watch;
 

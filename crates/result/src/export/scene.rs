@@ -66,6 +66,8 @@ pub struct Scene {
     pub(crate) is_cut: bool,
     /// Files of the pictures taken.
     pub(crate) files: FrameFiles,
+    /// True if the frames are photographs in any order.
+    pub(crate) is_unordered: bool,
     /// Names of pictures without ending, where these are not their numbers.
     picture_stems: Option<BTreeMap<usize, String>>,
 }
@@ -129,6 +131,7 @@ impl Scene {
             constant_exposure,
             is_cut,
             files: FrameFiles::default(),
+            is_unordered: false,
             picture_stems: None,
         })
     }
@@ -138,7 +141,7 @@ impl Scene {
     #[must_use]
     pub fn with_files(self, files: FrameFiles, is_unordered: bool) -> Self {
         let picture_stems = is_unordered.then(|| files.stems(&self.frames)).flatten();
-        Self { files, picture_stems, ..self }
+        Self { files, is_unordered, picture_stems, ..self }
     }
 
     /// True if pictures get the detail of those taken: these show what was cut from a map, and motion in them
@@ -192,6 +195,11 @@ impl Scene {
     /// The unit of all lengths.
     pub fn unit(&self) -> UnitOfLength {
         UnitOfLength::of(&self.reconstruction.config)
+    }
+
+    /// True if the world of files is not that of the result.
+    pub fn is_levelled(&self) -> bool {
+        self.level_from_world != Pose::identity()
     }
 
     /// Angle by which the world was turned to level it [rad].

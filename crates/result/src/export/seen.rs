@@ -40,9 +40,7 @@ fn sees(
     if !camera.contains(u, v, 0.0) {
         return false;
     }
-    let column = (u.round() as usize).min(depth.width - 1);
-    let row = (v.round() as usize).min(depth.height - 1);
-    let surface = f64::from(depth.data[row * depth.width + column]);
+    let surface = f64::from(depth.at(0, u as usize, v as usize));
     surface > 0.0 && point.z <= surface * (1.0 + MAX_BEHIND)
 }
 
@@ -52,14 +50,15 @@ mod tests {
 
     #[test]
     fn points_behind_a_surface_or_outside_are_not_seen() {
-        let camera = Camera { width: 5, height: 5, fx: 5.0, fy: 5.0, cx: 2.0, cy: 2.0 };
+        let camera = Camera { width: 5, height: 5, fx: 5.0, fy: 5.0, cx: 2.5, cy: 2.5 };
         let mut depth = Image::new(5, 5, 1);
         depth.data.fill(2.0);
         depth.data[12 + 1] = 0.0;
         let seen = |x, y, z| sees(&camera, Pose::identity(), &depth, Vec3::new(x, y, z));
         assert!(seen(0.0, 0.0, 2.0) && seen(0.0, 0.0, 1.0) && seen(0.0, 0.0, 2.09));
         assert!(!seen(0.0, 0.0, 2.2) && !seen(0.0, 0.0, -1.0) && !seen(3.0, 0.0, 2.0));
-        // Nothing was seen in the pixel to the right.
-        assert!(!seen(0.2, 0.0, 1.0));
+        // Nothing was seen in the pixel to the right, from 0.1 to 0.3 at this depth.
+        assert!(seen(0.09, 0.0, 1.0) && !seen(0.11, 0.0, 1.0) && !seen(0.29, 0.0, 1.0));
+        assert!(seen(0.31, 0.0, 1.0));
     }
 }

@@ -11,8 +11,11 @@ use std::fmt::Write;
 pub const CSV_COLUMNS: &str = "index,timestamp,tx,ty,tz,qx,qy,qz,qw,exposure,white_balance_r,\
                                white_balance_g,white_balance_b,blur_length_px,keyframe,held_out";
 
+/// Line of a path whose world is not that of its result.
+pub const LEVELLED: &str = "# in the levelled world of exports (--up keep: in that of the result)";
+
 /// Poses at mid-exposure in the TUM format, `timestamp tx ty tz qx qy qz qw`, world from camera; the
-/// first line has a mark and the unit of length.
+/// first line has a mark and the unit of length, the second one says where the world is levelled.
 pub fn tum(scene: &Scene, mark: &str) -> String {
     let poses: Vec<StampedPose> = scene
         .frames
@@ -23,7 +26,11 @@ pub fn tum(scene: &Scene, mark: &str) -> String {
         })
         .collect();
     let text = trajectory(&poses, scene.unit());
-    text.replacen("at mid-exposure", &format!("at mid-exposure, {mark}"), 1)
+    let text = text.replacen("at mid-exposure", &format!("at mid-exposure, {mark}"), 1);
+    match scene.is_levelled() {
+        true => text.replacen('\n', &format!("\n{LEVELLED}\n"), 1),
+        false => text,
+    }
 }
 
 /// One row per frame: position in the stream, time [s], pose at mid-exposure (world from camera),

@@ -9,7 +9,7 @@ use crate::pictures::interleaved_bytes;
 use i2slam::LightMeter;
 use i2slam::dataset::{VideoEncoder, VideoFormat};
 use i2slam::formation::AutoExposureFit;
-use i2slam::geometry::StampedPose;
+use i2slam::geometry::{Pose, StampedPose};
 use i2slam_storage::write_file;
 use std::hash::{BuildHasher, RandomState};
 use std::io;
@@ -17,6 +17,8 @@ use std::path::{Path, PathBuf};
 
 /// Pictures per second.
 const RATE: u32 = 30;
+/// Longest video \[s\]: stamps in other units than seconds span more.
+const MAX_SECONDS: f64 = 6.0 * 3600.0;
 
 /// What was written.
 #[derive(Clone, Copy, Debug)]
@@ -30,11 +32,11 @@ pub struct Video {
 }
 
 /// Writes the video with a comment: as long as the recording, or through `views` of the result's world, whose
-/// times rise. Pictures are exposed as the camera would
-/// have done it, where the run's frames tell how; white balance and response are typical of the run.
+/// times rise. Pictures are exposed as the camera would have done it, where the run's frames tell how; white
+/// balance and response are typical of the run.
 ///
 /// # Errors
-/// [`ExportError::Video`] if ffmpeg is missing or fails; those of the system;
+/// [`ExportError::Refused`] of poses that span more than six hours, and of photographs without `views`; [`ExportError::Video`] if ffmpeg is missing or fails; those of the system;
 /// [`ExportError::Cancelled`].
 pub fn write(
     scene: &Scene,
@@ -44,14 +46,7 @@ pub fn write(
     watch: &Watch<'_>,
 ) -> Result<Video, ExportError> {
     scene.require_map()?;
-    let path = match views {
-        Some(views) => path_through(views, f64::from(RATE)),
-        None => {
-            let times: Vec<f64> = scene.frames.iter().map(|frame| frame.timestamp).collect();
-            let poses: Vec<_> = scene.frames.iter().map(|frame| frame.middle()).collect();
-            smooth_path(&times, &poses, f64::from(RATE))
-        }
-    };
+    let path = path(scene, views)?;
     let reconstruction = &scene.reconstruction;
     let size = (reconstruction.camera.width, reconstruction.camera.height);
     // ffmpeg goes back to the beginning of a file when it ends, which a stream does not let it.
@@ -75,6 +70,37 @@ pub fn write(
     write_file(out, |out| io::copy(&mut i2slam_storage::open(&scratch.0)?, out).map(drop))?;
     let (pictures, seconds) = (path.len(), path.len() as f64 / f64::from(RATE));
     Ok(Video { pictures, seconds, exposure })
+}
+
+/// A pose for each picture.
+fn path(scene: &Scene, views: Option<&[StampedPose]>) -> Result<Vec<Pose<f64>>, ExportError> {
+    if views.is_none() && scene.is_unordered {
+        let why =
+            "photographs have no order of time in which to fly through them: give views (--poses)";
+        return Err(ExportError::refused(why));
+    }
+    let times: Vec<f64> = match views {
+        Some(views) => views.iter().map(|view| view.timestamp).collect(),
+        None => scene.frames.iter().map(|frame| frame.timestamp).collect(),
+    };
+    check_span(&times)?;
+    let poses = || -> Vec<_> { scene.frames.iter().map(|frame| frame.middle()).collect() };
+    Ok(match views {
+        Some(views) => path_through(views, f64::from(RATE)),
+        None => smooth_path(&times, &poses(), f64::from(RATE)),
+    })
+}
+
+/// Refuses times [s] that span more than a video may be long.
+fn check_span(times: &[f64]) -> Result<(), ExportError> {
+    let span = times.last().zip(times.first()).map_or(0.0, |(last, first)| last - first);
+    if span <= MAX_SECONDS {
+        return Ok(());
+    }
+    Err(ExportError::refused(format!(
+        "the poses span {span:.0} s, more than the {MAX_SECONDS:.0} s that a video may be long: time stamps \
+         are in seconds"
+    )))
 }
 
 /// The camera of the run, where exposure is to follow and does.

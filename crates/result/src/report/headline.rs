@@ -17,7 +17,7 @@ pub(super) fn lead(report: &Report<'_>) -> String {
         UnitOfLength::Metre => "",
         UnitOfLength::Unknown => {
             " Unit of length: unknown, because pictures alone do not tell the scale; where lengths \
-             are given in metres below, read: in that unit."
+             are given in metres below, read: in that unit, but for errors against ground truth."
         }
     };
     format!(

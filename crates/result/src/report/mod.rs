@@ -32,6 +32,8 @@ pub struct Report<'a> {
     pub metrics: &'a Metrics,
     /// Ground truth aligned to the estimate, in the estimate's world; empty if unknown.
     pub ground_truth: &'a [StampedPose],
+    /// Length of the estimate's unit by the ground truth \[m\].
+    pub metres_per_unit: f64,
     /// True exposures as (stream index, exposure in any unit); empty if unknown.
     pub true_exposure: &'a [(usize, f64)],
     /// Pictures to show.

@@ -61,7 +61,7 @@ pub(super) fn trajectory(report: &Report<'_>) -> String {
     let paths = [&path, &truth, &online].map(Vec::as_slice);
     let mut out = path_view("From above", [right, forward], paths, [0, 2]);
     out += &path_view("From the side", [forward, up], paths, [2, 1]);
-    if let Some(error) = position_error(frames, report.ground_truth) {
+    if let Some(error) = position_error(frames, (report.ground_truth, report.metres_per_unit)) {
         out += &error.html();
     }
     out
@@ -104,13 +104,16 @@ fn path_view(
     .html()
 }
 
-/// Distance of each estimate from the ground truth of its timestamp.
-fn position_error(frames: &[FrameEstimate], truth: &[StampedPose]) -> Option<Plot> {
+/// Distance of each estimate from the ground truth of its timestamp, in metres of the latter.
+fn position_error(
+    frames: &[FrameEstimate],
+    (truth, metres_per_unit): (&[StampedPose], f64),
+) -> Option<Plot> {
     let stamps: Vec<f64> = truth.iter().map(|p| p.timestamp).collect();
     let error = |frame: &FrameEstimate| {
         let nearest = i2slam::geometry::nearest_stamp(&stamps, frame.timestamp, 0.02);
         let of = |i: usize| truth[i].world_from_camera.translation - frame.middle().translation;
-        nearest.map_or(f64::NAN, |i| of(i).norm() * 100.0)
+        nearest.map_or(f64::NAN, |i| of(i).norm() * 100.0 * metres_per_unit)
     };
     let explanation = "Distance from the true camera position after alignment.";
     let mut plot = over_frames("Position error", explanation, "error [cm]");

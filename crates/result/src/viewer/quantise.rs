@@ -198,7 +198,7 @@ pub(super) mod tests {
     use i2slam::radiance::{RadianceMap, Render, View};
     use i2slam_check::noise;
 
-    /// Reads what [`quantised`] wrote, as `page/decode.js` does.
+    /// Reads what [`quantised`] wrote, as `page/map.js` does.
     fn restored(quantised: &QuantisedMap, activation: ColourActivation) -> GaussianMap<f32> {
         let (n, bytes) = (quantised.count, &quantised.bytes);
         let (m, terms) = (quantised.view_colours, quantised.view_terms);

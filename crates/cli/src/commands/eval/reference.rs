@@ -2,6 +2,7 @@
 
 use super::Eval;
 use super::estimate::{Estimate, PictureFiles, picture_files};
+use crate::console::print_status;
 use crate::failure::{Failure, failed};
 use crate::ground_truth::GroundTruth;
 use crate::image_files::read_png;
@@ -60,6 +61,7 @@ impl Reference {
             None => Sequence::open(path, &OpenOptions::default())?,
         };
         let truth = GroundTruth::open(path, &sequence);
+        truth.warnings.iter().for_each(|warning| print_status(&format!("warning: {warning}")));
         let (sequence, truth) = (Box::new(sequence), Box::new(truth));
         Ok(Self::Dataset { path: path.to_owned(), sequence, truth })
     }

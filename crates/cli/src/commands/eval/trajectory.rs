@@ -8,6 +8,7 @@ use crate::console::counted;
 use crate::failure::Failure;
 use i2slam::dataset::read_trajectory;
 use i2slam::geometry::StampedPose;
+use i2slam_eval::EvalError;
 use i2slam_eval::trajectory::{
     Alignment, DEFAULT_TOLERANCE, RelativePoseError, Step, TrajectoryError,
     absolute_trajectory_error, count_frames_without_pose, relative_pose_error,
@@ -24,8 +25,11 @@ const SAME_STAMP: f64 = 1e-5;
 pub(super) struct TrajectoryErrors {
     #[serde(flatten)]
     absolute: TrajectoryError,
+    /// `None` where no two poses are as far apart as a step is long.
     #[serde(flatten)]
-    relative: RelativePoseError,
+    relative: Option<RelativePoseError>,
+    #[serde(skip)]
+    step: Step,
     /// Errors of the poses as they were known when their frames came.
     #[serde(flatten)]
     online: Option<OnlineErrors>,
@@ -71,10 +75,14 @@ pub(super) fn evaluate(
     let alignment = alignment(arguments, estimate)?;
     let absolute = absolute_trajectory_error(&poses, truth, alignment, DEFAULT_TOLERANCE)?;
     let aligned = &absolute.aligned_estimate;
-    let relative = relative_pose_error(aligned, truth, arguments.rpe, DEFAULT_TOLERANCE)?;
+    let relative = match relative_pose_error(aligned, truth, arguments.rpe, DEFAULT_TOLERANCE) {
+        Err(EvalError::TooFew { .. }) => None,
+        measured => Some(measured?),
+    };
     let online = online_errors(estimate, truth, alignment)?;
     let estimated_poses = poses.len();
-    Ok(TrajectoryErrors { absolute, relative, online, estimated_poses, frames_without_pose })
+    let step = arguments.rpe;
+    Ok(TrajectoryErrors { absolute, relative, step, online, estimated_poses, frames_without_pose })
 }
 
 /// `None` without a `trajectory_online.txt`, or where that has too few true poses to be aligned.
@@ -147,7 +155,7 @@ impl TrajectoryErrors {
     }
 
     pub(super) fn rows(&self) -> Vec<TableRow> {
-        let (t, r) = (&self.absolute, &self.relative);
+        let t = &self.absolute;
         let fit = match t.alignment {
             Alignment::Se3 => ", aligned by SE(3)".to_owned(),
             Alignment::Sim3 => format!(", aligned by Sim(3), scale {:.4}", t.scale),
@@ -179,14 +187,19 @@ impl TrajectoryErrors {
             let rest = format!(" cm, largest {most:.4}, of {} poses", online.online_pairs);
             row("ATE RMSE when frames came", number(100.0 * online.online_ate_rmse_m), &rest)
         }));
-        let over = match r.rpe_step {
+        let over = match self.step {
             Step::Frames(1) => "a frame".to_owned(),
             Step::Frames(n) | Step::OverlappingFrames(n) => counted(n, "frame"),
             Step::Seconds(s) => format!("{s} s"),
         };
+        let Some(relative) = &self.relative else {
+            let why = format!(" no two poses are {over} apart");
+            rows.push(row("RPE", "-".to_owned(), &why));
+            return rows;
+        };
         let relative = [
-            ("RPE translation RMSE", 100.0 * r.rpe_translation_rmse_m, "cm"),
-            ("RPE rotation RMSE", r.rpe_rotation_rmse_deg, "degrees"),
+            ("RPE translation RMSE", 100.0 * relative.rpe_translation_rmse_m, "cm"),
+            ("RPE rotation RMSE", relative.rpe_rotation_rmse_deg, "degrees"),
         ];
         rows.extend(
             relative.map(|(name, value, unit)| {

@@ -1,10 +1,10 @@
 //! Arguments of `i2slam export`.
 
+use super::super::views::read_views;
 use super::format_parser::FormatParser;
 use crate::arguments::{Machine, existing_path, numbers};
 use crate::failure::Failure;
 use clap::{Args, ValueEnum};
-use i2slam::dataset::read_trajectory;
 use i2slam::geometry::{StampedPose, Vec3};
 use i2slam_result::export::{CropBox, Selection, Up, colmap, nerfstudio};
 use std::path::PathBuf;
@@ -139,18 +139,16 @@ impl Export {
         let Self { linear, keyframes, constant_exposure, .. } = *self;
         Ok(Selection { crop, min_opacity, min_views, up, linear, keyframes, constant_exposure })
     }
-}
 
-impl Export {
     /// The views to fly through.
     pub(super) fn views(&self) -> Result<Option<Vec<StampedPose>>, Failure> {
         let Some(file) = &self.poses else { return Ok(None) };
-        let views = read_trajectory(file)?;
+        let views = read_views(file)?;
         let rises = views.windows(2).all(|pair| pair[0].timestamp < pair[1].timestamp);
         match views.len() >= 2 && rises {
             true => Ok(Some(views)),
             false => Err(Failure::Usage(format!(
-                "--poses {}: expected at least two poses, whose times rise from line to line",
+                "--poses {}: expected at least two poses, at different times",
                 file.display()
             ))),
         }

@@ -53,11 +53,16 @@ pub(crate) fn export(arguments: &Export) -> Result<(), Failure> {
         progress: &|name, done, total| progress.step(name, done, total),
         cancellation: interrupt::cancellation(),
     };
+    let previous = place::keep_previous(arguments)?;
     let written = write(arguments, &scene, views.as_deref(), &watch);
     progress.clear();
     let what = with_unit(&written?, arguments.format, &scene);
     print(&format!("{what}, in {}", arguments.out.display()));
-    let can_be_cut = !matches!(arguments.format, Format::Tum | Format::Csv);
+    if let Some(previous) = previous.filter(|_| !arguments.machine.quiet) {
+        print_status(&format!("the earlier export is in {}", previous.display()));
+    }
+    let is_cut = [Format::Ply, Format::CompressedPly, Format::Glb, Format::Html, Format::Mesh];
+    let can_be_cut = is_cut.contains(&arguments.format);
     if arguments.machine.quiet {
         return Ok(());
     }

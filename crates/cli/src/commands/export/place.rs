@@ -3,9 +3,9 @@
 use super::arguments::{Export, FolderFormat, Format};
 use crate::failure::Failure;
 use i2slam_result::export::{CSV_COLUMNS, MARK};
-use i2slam_storage::{Claim, OutputFolder};
-use std::io::Read;
-use std::path::Path;
+use i2slam_storage::{Claim, OutputFolder, write_file};
+use std::io::{self, Read};
+use std::path::{Path, PathBuf};
 
 /// Beginning of a file in which its mark stands [bytes].
 const HEAD: u64 = 1 << 20;
@@ -57,6 +57,24 @@ fn check_file(format: Format, out: &Path, overwrite: bool) -> Result<(), Failure
         }
     };
     Err(Failure::Usage(format!("--out {} {message}", out.display())))
+}
+
+/// Copies an earlier export that can be edited by hand to `FILE.previous`, before it is replaced; returns the
+/// path of the copy, if one was made.
+pub(super) fn keep_previous(arguments: &Export) -> Result<Option<PathBuf>, Failure> {
+    let (format, out) = (arguments.format, arguments.out.as_path());
+    if !matches!(format, Format::Tum | Format::Csv) || !out.is_file() {
+        return Ok(None);
+    }
+    let mut name = out.as_os_str().to_owned();
+    name.push(".previous");
+    let previous = PathBuf::from(name);
+    if previous.exists() && !is_earlier_export(format, &previous) {
+        let message = format!("{} is no export: move it away", previous.display());
+        return Err(Failure::Usage(message));
+    }
+    write_file(&previous, |copy| io::copy(&mut i2slam_storage::open(out)?, copy).map(drop))?;
+    Ok(Some(previous))
 }
 
 /// Tells if a file begins as one that this command wrote in that format.

@@ -47,7 +47,7 @@ pub(super) struct DepthStats {
     pub(super) valid_share_worst: f64,
 }
 
-/// BrightnessStats of frames: the mean of all pixels and channels, display values in `[0, 1]`.
+/// Brightness of frames: the mean of all pixels and channels, display values in `[0, 1]`.
 #[derive(Debug, Serialize)]
 pub(super) struct BrightnessStats {
     pub(super) lowest: f64,

@@ -80,7 +80,10 @@ impl Observer for Recorder {
 
 /// Runs on frames that come one by one, each as `change` leaves it.
 fn run(recorder: &Recorder, change: fn(&mut Sequence)) -> RunOutcome {
-    let options = options();
+    run_with(options(), recorder, change)
+}
+
+fn run_with(options: RunOptions, recorder: &Recorder, change: fn(&mut Sequence)) -> RunOutcome {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../cli/assets/demo");
     let mut sequence = options.open_sequence(&folder).expect("the demo clip");
     change(&mut sequence);
@@ -107,6 +110,18 @@ fn frames_are_mapped_while_they_come() {
     let frames = recorder.frames.lock().expect("done");
     assert!((0..FRAMES).all(|index| frames.iter().any(|frame| frame.0 == index)), "{frames:?}");
     assert!(frames.iter().all(|(_, done, total)| (1..=*total).contains(done)), "{frames:?}");
+}
+
+/// Their rate is that of the camera, by which the map counts.
+#[test]
+fn every_second_frame_is_mapped_once() {
+    let recorder = Recorder::default();
+    let mut every_second = options();
+    (every_second.open.stride, every_second.open.frames) = (2, Some(0..2 * FRAMES));
+    let outcome = run_with(every_second, &recorder, |_| {});
+    assert!(outcome.complete, "{:?}", outcome.problem);
+    assert!(!recorder.has_note("frames a second"), "{:?}", recorder.notes);
+    assert_eq!(indices(&outcome), (0..2 * FRAMES).step_by(2).collect::<Vec<_>>());
 }
 
 /// Frames of a cancelled run still come; the map stays as it is.

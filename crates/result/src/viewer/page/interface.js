@@ -9,8 +9,15 @@ const SRGB = Array.from({ length: 512 }, (_, i) => {
 });
 const LINEAR = Array.from({ length: 512 }, (_, i) => (i / 511) ** 4);
 
+// The first frame that is not much darker than most, as those of a fade-in are.
+function firstLit() {
+  const exposures = frames.map(frame => frame.logExposure).sort((a, b) => a - b);
+  const typical = exposures[exposures.length >> 1];
+  return Math.max(0, frames.findIndex(frame => Math.abs(frame.logExposure - typical) < 2));
+}
+
 // What is shown beside the view.
-const state = { frame: 0, stops: 0, balance: true, response: true, compare: true, cut: 50, playing: null };
+const state = { frame: firstLit(), stops: 0, balance: true, response: true, compare: true, cut: 50, playing: null };
 // Natural logarithm of exposure, and of the gains of white balance.
 let tone = { exposure: 0, balance: [0, 0, 0] };
 let renderer, pending = null, requested = false, sorting = null, sorted = null, sortId = 0, quality = 1, still = 0, drawn = 0;
@@ -277,15 +284,15 @@ function picture(place) {
 function showPlace() {
   const image = navigation.at !== null && state.compare ? picture(navigation.at) : null;
   const shown = image !== null;
-  for (const id of ["taken", "bar", "before", "after"]) $(id).hidden = !shown;
+  for (const id of ["outside", "taken", "bar", "before", "after"]) $(id).hidden = !shown;
   $("back").hidden = navigation.at !== null || Boolean(navigation.glide) || state.playing !== null || !frames.length;
   if (!shown) return;
   const { scale, left, top } = fit(), width = camera.width * scale;
   if ($("taken").firstChild !== image) $("taken").replaceChildren(image);
-  Object.assign($("taken").style, {
-    left: left + "px", top: top + "px", width: width + "px", height: camera.height * scale + "px",
-    clipPath: `inset(0 ${100 - state.cut}% 0 0)`,
-  });
+  const place = { left: left + "px", top: top + "px", width: width + "px", height: camera.height * scale + "px" };
+  // What the camera did not film is the map on both sides: it is dimmed.
+  Object.assign($("outside").style, place);
+  Object.assign($("taken").style, place, { clipPath: `inset(0 ${100 - state.cut}% 0 0)` });
   const at = left + width * state.cut / 100, lower = top + camera.height * scale - 10;
   Object.assign($("bar").style, { left: at + "px", top: top + "px", height: camera.height * scale + "px" });
   $("bar").ariaValueNow = Math.round(state.cut);
