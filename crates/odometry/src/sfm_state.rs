@@ -1,5 +1,6 @@
 //! State of the reconstruction: camera, tracks, poses and landmarks.
 
+mod near_points;
 mod parts;
 mod residuals;
 mod scale;
@@ -20,6 +21,7 @@ use crate::track::tracker::TrackedFrame;
 use crate::track::tracks::{Observation, Track, Tracks, repeated_frame, shared_positions};
 use i2slam_geometry::{Camera, Image, Pose, Similarity};
 use i2slam_storage::ScratchStore;
+use near_points::NearestDepths;
 use rayon::prelude::*;
 use std::sync::Arc;
 
@@ -286,6 +288,7 @@ impl SfmState {
 
     fn triangulate(&mut self, mut tracks: Vec<usize>) {
         tracks.retain(|i| self.landmarks[*i].is_none());
+        let nearest = NearestDepths::new(self);
         let landmark = |i: &usize| {
             let right = self.tracks.tracks[*i].observations.iter().filter(|o| !o.is_outlier);
             let observations: Vec<PosedObservation<'_>> = right
@@ -293,6 +296,7 @@ impl SfmState {
                 .filter_map(|o| Some((o, self.poses[o.frame]?)))
                 .collect();
             triangulate(&self.camera, &observations, self.noise_scale)
+                .filter(|found| !nearest.exclude(self, found, &self.tracks.tracks[*i]))
         };
         let found: Vec<Option<Landmark>> = tracks.par_iter().map(landmark).collect();
         tracks.into_iter().zip(found).for_each(|(i, found)| self.landmarks[i] = found);

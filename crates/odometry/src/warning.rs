@@ -248,7 +248,8 @@ mod tests {
     fn a_focal_length_is_given_in_degrees_and_in_pixels_of_the_pictures_used() {
         let far = Warning::FocalLengthMismatch { given: 320.0, fitting: 640.0, width: 640 };
         let text = far.resized(320).to_string();
-        for part in ["160.0 px (90.0 degrees across)", "320.0 px (53.1 degrees)"] {
+        for part in ["160.0 px at a width of 320 (90.0 degrees across)", "320.0 px (53.1 degrees)"]
+        {
             assert!(text.contains(part), "{text}");
         }
         let guess = Warning::FocalLengthUndetermined { focal_length: 320.0, width: 640 };

@@ -35,10 +35,16 @@ pub(super) fn black_bars_warning(
     let lit: Vec<_> = pictures.map(|frame| frame.colour).filter(|colour| is_lit(colour)).collect();
     let colours: Vec<&Image<f32>> = lit.iter().map(AsRef::as_ref).collect();
     let bars = Bars::of(&colours)?;
-    let (first, [across, down]) = (colours.first()?, [width, height]);
-    let [left, right] = [bars.left, bars.right].map(|n| (n * across).div_ceil(first.width));
-    let [top, bottom] = [bars.top, bars.bottom].map(|n| (n * down).div_ceil(first.height));
-    let (kept_width, kept_height) = (across - left - right, down - top - bottom);
+    let first = colours.first()?;
+    // With the line over which coding blurs the edge.
+    let recorded = |bar: usize, (side, of): (usize, usize)| match bar {
+        0 => 0,
+        bar => ((bar + 1) * side).div_ceil(of),
+    };
+    let [left, right] = [bars.left, bars.right].map(|bar| recorded(bar, (width, first.width)));
+    let [top, bottom] = [bars.top, bars.bottom].map(|bar| recorded(bar, (height, first.height)));
+    // Most videos have even sides.
+    let (kept_width, kept_height) = ((width - left - right) & !1, (height - top - bottom) & !1);
     Some(format!(
         "black bars become part of the map: {left}, {right}, {top} and {bottom} px at the left, right, top and \
          bottom; cut them off first, a video with ffmpeg -i IN -vf \

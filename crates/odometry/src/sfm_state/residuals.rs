@@ -1,10 +1,12 @@
 //! Residuals of landmarks: their scale, and the observations that are outliers.
 
 use super::SfmState;
+use super::near_points::NearestDepths;
 use crate::multiview::landmark::{MAX_INLIER_ERROR, Match, reprojection_error};
 use crate::track::tracks::Observation;
 use i2slam_compute::median;
 use i2slam_geometry::Pose;
+use std::collections::BTreeSet;
 
 /// Reprojection error of an outlier [standard deviations].
 const OUTLIER_ERROR: f64 = 6.0;
@@ -14,8 +16,9 @@ pub(crate) const MIN_INLIER_RATIO: f64 = 0.5;
 pub(crate) const MAX_NOISE_SCALE: f64 = 4.0;
 
 impl SfmState {
-    /// Marks observations that their landmark does not explain as outliers, and drops landmarks
-    /// left with fewer than two inliers; their observations may be tried again.
+    /// Marks observations that their landmark does not explain as outliers, and drops landmarks that are
+    /// left with fewer than two inliers or [too near](super::near_points); their observations may be tried
+    /// again.
     pub(crate) fn reject_outliers(&mut self) {
         self.reject_outliers_of((0..self.landmarks.len()).collect());
     }
@@ -29,6 +32,12 @@ impl SfmState {
         let (camera, worst) = (self.camera, OUTLIER_ERROR * self.noise_scale);
         let adjusted: Vec<Option<Pose<f64>>> =
             (0..self.poses.len()).map(|f| self.poses[f].filter(|_| self.is_adjusted(f))).collect();
+        let nearest = NearestDepths::new(self);
+        let is_near = |index: &usize| {
+            let landmark = self.landmarks[*index].as_ref();
+            landmark.is_some_and(|l| nearest.exclude(self, l, &self.tracks.tracks[*index]))
+        };
+        let near: BTreeSet<usize> = tracks.iter().copied().filter(is_near).collect();
         for index in tracks {
             let (landmark, track) = (&mut self.landmarks[index], &mut self.tracks.tracks[index]);
             let Some(known) = landmark else { continue };
@@ -41,7 +50,8 @@ impl SfmState {
             }
             let has_depth = track.observations.iter().any(|o| !o.is_outlier && o.depth().is_some());
             // Slightly negative inverse depths are far points with noise.
-            if left < 2 - usize::from(has_depth) || known.inverse_depth() < -0.02 {
+            let is_lost = left < 2 - usize::from(has_depth);
+            if is_lost || known.inverse_depth() < -0.02 || near.contains(&index) {
                 *landmark = None;
                 track.observations.iter_mut().for_each(|o| o.is_outlier = false);
             }
