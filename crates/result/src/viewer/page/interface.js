@@ -9,15 +9,8 @@ const SRGB = Array.from({ length: 512 }, (_, i) => {
 });
 const LINEAR = Array.from({ length: 512 }, (_, i) => (i / 511) ** 4);
 
-// The first frame that is not much darker than most, as those of a fade-in are.
-function firstLit() {
-  const exposures = frames.map(frame => frame.logExposure).sort((a, b) => a - b);
-  const typical = exposures[exposures.length >> 1];
-  return Math.max(0, frames.findIndex(frame => Math.abs(frame.logExposure - typical) < 2));
-}
-
 // What is shown beside the view.
-const state = { frame: firstLit(), stops: 0, balance: true, response: true, compare: true, cut: 50, playing: null };
+const state = { frame: 0, stops: 0, balance: true, response: true, compare: true, cut: 50, playing: null };
 // Natural logarithm of exposure, and of the gains of white balance.
 let tone = { exposure: 0, balance: [0, 0, 0] };
 let renderer, pending = null, requested = false, sorting = null, sorted = null, sortId = 0, quality = 1, still = 0, drawn = 0;
@@ -424,10 +417,17 @@ addEventListener("keydown", event => {
 });
 new ResizeObserver(changed).observe(stage);
 
-// `#frame=59`: the frame of that number, or the nearest there is.
+// The first frame that is not much darker than most, as those of a fade-in are.
+function firstLit() {
+  const exposures = frames.map(frame => frame.logExposure).sort((a, b) => a - b);
+  const typical = exposures[exposures.length >> 1];
+  return Math.max(0, frames.findIndex(frame => Math.abs(frame.logExposure - typical) < 2));
+}
+
+// `#frame=59`: the frame of that number, or the nearest there is; without, the first that shows something.
 function frameOfAddress() {
   const asked = Number(new URLSearchParams(location.hash.slice(1)).get("frame") ?? NaN);
-  if (!Number.isFinite(asked)) return 0;
+  if (!Number.isFinite(asked)) return firstLit();
   const apart = frames.map(f => Math.abs(f.index - asked));
   return Math.max(0, apart.indexOf(Math.min(...apart)));
 }
