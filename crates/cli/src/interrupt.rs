@@ -12,7 +12,7 @@ static REQUESTED: AtomicBool = AtomicBool::new(false);
 /// When the last first signal came.
 static SINCE: Mutex<Option<Instant>> = Mutex::new(None);
 
-/// What a stream recorded so far, which a second signal leaves.
+/// File in which a stream is recorded; a second signal leaves it.
 static RECORDING: Mutex<Option<PathBuf>> = Mutex::new(None);
 
 /// Whether a stream is being read, which the first signal ends in place of the run.

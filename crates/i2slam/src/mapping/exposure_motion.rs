@@ -42,7 +42,7 @@ const MAX_ROUNDS: usize = 6;
 const RATIO_BOUNDS: RangeInclusive<f64> = 0.04..=9.0;
 const CONVERGED_RATIO: f64 = 0.05;
 /// Length over that of the start below which it is as good as none.
-const LEAST_LENGTH: f64 = 0.04;
+const MIN_LENGTH: f64 = 0.04;
 /// Standard deviation up to which a length replaces the estimate by the map \[px\].
 const MAX_DEVIATION: f64 = 0.3;
 
@@ -272,7 +272,7 @@ impl Pictures<'_> {
             let ratio = found.ratio.clamp(*RATIO_BOUNDS.start(), *RATIO_BOUNDS.end()).sqrt();
             own = own.scaled(ratio);
             length *= ratio;
-            if (found.ratio - 1.0).abs() < CONVERGED_RATIO || length < LEAST_LENGTH {
+            if (found.ratio - 1.0).abs() < CONVERGED_RATIO || length < MIN_LENGTH {
                 return Some((length, 0.5 * found.deviation * length));
             }
         }
