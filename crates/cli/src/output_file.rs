@@ -1,6 +1,6 @@
-//! Files that a run writes beside its result, where a flag names them.
+//! Files that a flag names: where they may be, and what becomes of earlier ones.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Checks that the folder of a new file is there, and that it is none of `folders`, which hold dataset
 /// and results; else says why not.
@@ -15,4 +15,11 @@ pub(crate) fn check_folder(file: &Path, folders: [&Path; 2]) -> Result<(), &'sta
         true => Err("it would be in the dataset or among the results, choose another folder"),
         false => Ok(()),
     }
+}
+
+/// Name that an earlier file gets where a new one takes its place.
+pub(crate) fn previous(path: &Path) -> PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push(".previous");
+    name.into()
 }

@@ -2,7 +2,7 @@
 
 use crate::console::print_status;
 use crate::failure::Failure;
-use crate::output_file::check_folder;
+use crate::output_file::{check_folder, previous};
 use i2slam::geometry::StampedPose;
 use i2slam_result::{UnitOfLength, online_trajectory, trajectory_line};
 use std::fs::{self, OpenOptions};
@@ -116,13 +116,6 @@ impl Drop for PoseLines {
             print_status(&format!("warning: nobody reads the last poses from {name}"));
         }
     }
-}
-
-/// The name that poses of an earlier run get where new ones take theirs.
-fn previous(path: &Path) -> PathBuf {
-    let mut name = path.as_os_str().to_owned();
-    name.push(".previous");
-    name.into()
 }
 
 /// True if a file begins as those with poses do.

@@ -249,9 +249,12 @@ impl Measurements {
                 self.metrics.ate_rmse_m = Some(error.ate_rmse_m);
                 self.metrics.ate_mean_m = Some(error.ate_mean_m);
                 self.metrics.ate_poses = error.pairs;
-                let lengths = truth.trajectory_error(&path, Alignment::Sim3).ok().flatten();
-                let ratio =
-                    lengths.map_or(1.0, |(error, _)| error.truth_from_estimate.scale.recip());
+                let scaled_error = truth.trajectory_error(&path, Alignment::Sim3).ok().flatten();
+                // Of a path within its error the scale tells nothing.
+                let better = scaled_error
+                    .map(|(scaled_error, _)| scaled_error)
+                    .filter(|scaled_error| 2.0 * scaled_error.ate_rmse_m < error.ate_rmse_m);
+                let ratio = better.map_or(1.0, |e| e.truth_from_estimate.scale.recip());
                 if !scaled && ratio.ln().abs() > MAX_LENGTH_RATIO.ln() {
                     let (given, fits) = (sequence.depth_scale, sequence.depth_scale * ratio);
                     self.warnings.push(format!(

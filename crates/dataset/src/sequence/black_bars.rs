@@ -44,7 +44,8 @@ pub(super) fn black_bars_warning(
     let [left, right] = [bars.left, bars.right].map(|bar| recorded(bar, (width, first.width)));
     let [top, bottom] = [bars.top, bars.bottom].map(|bar| recorded(bar, (height, first.height)));
     // Most videos have even sides.
-    let (kept_width, kept_height) = ((width - left - right) & !1, (height - top - bottom) & !1);
+    let kept = |side: usize, bars: usize| side.saturating_sub(bars) & !1;
+    let (kept_width, kept_height) = (kept(width, left + right), kept(height, top + bottom));
     Some(format!(
         "black bars become part of the map: {left}, {right}, {top} and {bottom} px at the left, right, top and \
          bottom; cut them off first, a video with ffmpeg -i IN -vf \

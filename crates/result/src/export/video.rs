@@ -36,7 +36,8 @@ pub struct Video {
 /// balance and response are typical of the run.
 ///
 /// # Errors
-/// [`ExportError::Refused`] of poses that span more than six hours, and of photographs without `views`; [`ExportError::Video`] if ffmpeg is missing or fails; those of the system;
+/// [`ExportError::Refused`] of poses that span more than six hours, and of photographs without `views`;
+/// [`ExportError::Video`] if ffmpeg is missing or fails; those of the system;
 /// [`ExportError::Cancelled`].
 pub fn write(
     scene: &Scene,

@@ -2,6 +2,7 @@
 
 use super::arguments::{Export, FolderFormat, Format};
 use crate::failure::Failure;
+use crate::output_file::previous;
 use i2slam_result::export::{CSV_COLUMNS, MARK};
 use i2slam_storage::{Claim, OutputFolder, write_file};
 use std::io::{self, Read};
@@ -66,9 +67,7 @@ pub(super) fn keep_previous(arguments: &Export) -> Result<Option<PathBuf>, Failu
     if !matches!(format, Format::Tum | Format::Csv) || !out.is_file() {
         return Ok(None);
     }
-    let mut name = out.as_os_str().to_owned();
-    name.push(".previous");
-    let previous = PathBuf::from(name);
+    let previous = previous(out);
     if previous.exists() && !is_earlier_export(format, &previous) {
         let message = format!("{} is no export: move it away", previous.display());
         return Err(Failure::Usage(message));
