@@ -18,7 +18,7 @@ const ARROWS: &[(&str, &[&str])] = &[
     ("compute", &["geometry"]),
     ("formation", &["geometry", "compute"]),
     ("radiance", &["geometry", "compute"]),
-    ("dataset", &["storage", "geometry", "compute"]),
+    ("dataset", &["storage", "geometry", "compute", "formation"]),
     ("odometry", &["storage", "geometry", "compute", "formation"]),
     ("eval", &["geometry"]),
     ("synthetic", &["storage", "geometry", "compute", "dataset"]),

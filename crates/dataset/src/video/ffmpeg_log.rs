@@ -1,13 +1,11 @@
 //! Parser of ffmpeg's log.
 
+use super::high_dynamic_range::Transfer;
 use super::timestamps::{RepairedTimestamps, repaired};
 
 /// Beginnings of errors that only repeat an earlier one.
 const SECONDARY_ERRORS: [&str; 4] =
     ["Error opening output", "Error opening input", "Conversion failed", "Error parsing options"];
-
-/// Transfer functions of high dynamic range, with their usual names.
-const HDR_TRANSFERS: [(&str, &str); 2] = [("arib-std-b67", "HLG"), ("smpte2084", "PQ")];
 
 /// Contents of the log.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -20,8 +18,8 @@ pub(super) struct FfmpegLog {
     pub(super) duration: Option<f64>,
     /// Codec of the first video stream.
     pub(super) codec: Option<String>,
-    /// Name of its transfer function, where that is one of high dynamic range.
-    pub(super) hdr: Option<&'static str>,
+    /// Its transfer function, where that is one of high dynamic range.
+    pub(super) transfer: Option<Transfer>,
     /// Whether the track that was asked for is not there.
     pub(super) lacks_track: bool,
     /// First error that is not [secondary](SECONDARY_ERRORS).
@@ -60,8 +58,7 @@ impl FfmpegLog {
         }
         if let Some(video) = after(line, " Video:").filter(|_| self.codec.is_none()) {
             self.codec = video.split(',').next().map(str::to_owned);
-            self.hdr =
-                HDR_TRANSFERS.iter().find(|(key, _)| video.contains(key)).map(|(_, name)| *name);
+            self.transfer = Transfer::logged(video);
         }
         self.lacks_track |= line.contains("matches no streams");
         let is_error = line.contains("[error]") || line.contains("[fatal]");
@@ -180,17 +177,18 @@ mod tests {
         assert_eq!((log.frames[0].size, log.frames[0].pixel_aspect), ((320, 240), 1.0));
         assert_eq!(log.frames[1].pixel_aspect, 4.0 / 3.0);
         assert_eq!([log.frames[0].is_grey16, log.frames[1].is_grey16], [false, true]);
-        assert_eq!((log.error(), log.hdr), (None, None));
+        assert_eq!((log.error(), log.transfer), (None, None));
     }
 
     #[test]
     fn high_dynamic_range_is_recognised() {
         let of = |transfer: &str| {
             let format = format!("yuv420p10le(tv, bt2020nc/bt2020/{transfer})");
-            log_of(&format!("[info] Stream #0:0: Video: hevc (Main 10), {format}, 1920x1080")).hdr
+            log_of(&format!("[info] Stream #0:0: Video: hevc (Main 10), {format}, 1920x1080"))
+                .transfer
         };
         let found = ["arib-std-b67", "smpte2084", "bt709"].map(of);
-        assert_eq!(found, [Some("HLG"), Some("PQ"), None]);
+        assert_eq!(found, [Some(Transfer::Hlg), Some(Transfer::Pq), None]);
     }
 
     #[test]

@@ -8,6 +8,7 @@ mod encode;
 mod ffmpeg;
 mod ffmpeg_log;
 mod frame_reader;
+mod high_dynamic_range;
 mod live_frames;
 mod recording;
 mod timestamps;
@@ -18,12 +19,14 @@ use crate::image::{MAX_PIXELS, image_from_rgb};
 use crate::text::counted;
 use ffmpeg::{Ffmpeg, Part};
 use ffmpeg_log::FfmpegLog;
+use high_dynamic_range::Conversion;
 use i2slam_geometry::Image;
 use std::path::{Path, PathBuf};
 use timestamps::RepairedTimestamps;
 use track::{Pictures, Track, TrackReader};
 
 pub use encode::{VideoEncoder, VideoFormat};
+pub(crate) use high_dynamic_range::Transfer;
 pub(crate) use live_frames::LiveFrames;
 pub use recording::{MAX_RECORDING_BYTES, is_stream};
 pub(crate) use recording::{Recording, refused_stream};
@@ -64,6 +67,8 @@ pub(crate) struct Video {
     /// Width and height [px] after the rotation that the file asks for, with square pixels.
     pub(crate) size: (usize, usize),
     colour: TrackReader,
+    /// Conversion of its colours, if they are of high dynamic range.
+    conversion: Option<Conversion>,
     /// Depth, if the second track is 16-bit grey.
     depth: Option<TrackReader>,
     /// Whether there is a second track of which no picture can be decoded (yet).
@@ -92,15 +97,6 @@ pub(crate) struct VideoPart {
     pub(crate) frame_rate: f64,
 }
 
-/// Warning of a video whose colours are not those of BT.709.
-fn hdr_warning(transfer: &str) -> String {
-    format!(
-        "the video is of high dynamic range ({transfer}), which is read as if it were standard: colours come \
-         out pale; film without HDR, or convert it, as with ffmpeg -i IN -vf zscale=t=linear:npl=100,\
-         tonemap=hable,zscale=p=bt709:t=bt709:m=bt709,format=yuv420p OUT.mp4"
-    )
-}
-
 impl Video {
     /// Counts the pictures of a part.
     pub(crate) fn open(path: &Path, part: VideoPart) -> Result<VideoListing, DatasetError> {
@@ -123,14 +119,16 @@ impl Video {
         // ffmpeg logs a few more frames than asked for before it ends.
         let all = log.frames.len();
         let count = end.map_or(all, |end| all.min(end));
-        let mut warnings: Vec<String> = first.hdr.map(hdr_warning).into_iter().collect();
+        let mut warnings = Vec::new();
         let timestamps = timestamps(&log, count, frame_rate, &mut warnings);
         let is_whole = end.is_none_or(|end| all < end);
         warnings.extend(damage_warning(&log, &timestamps).filter(|_| is_whole));
-        let colour = TrackReader::new(Pictures { track: Track::Colour, size });
+        let conversion = first.transfer.map(Conversion::new);
+        let is_deep = conversion.is_some();
+        let colour = TrackReader::new(Pictures { track: Track::Colour, size, is_deep });
         let path = path.to_path_buf();
         let (depth, awaits_second_track) = (None, false);
-        let video = Self { path, ffmpeg, size, colour, depth, awaits_second_track };
+        let video = Self { path, ffmpeg, size, colour, conversion, depth, awaits_second_track };
         let mut listing = VideoListing { video, timestamps, depth_timestamps: None, warnings };
         if let Some(margin) = part.depth {
             let until = listing.timestamps.last().filter(|_| !is_whole).map(|last| last + margin);
@@ -159,6 +157,11 @@ impl Video {
         self.depth_size().is_none_or(|size| size == self.size)
     }
 
+    /// The transfer function of a video of high dynamic range, whose pictures are converted.
+    pub(crate) fn transfer(&self) -> Option<Transfer> {
+        self.conversion.as_ref().map(Conversion::transfer)
+    }
+
     /// Changes the size of delivered colour pictures [px].
     pub(crate) fn with_size(&self, size: (usize, usize)) -> Self {
         let colour = Pictures { size, ..self.colour.pictures };
@@ -166,6 +169,7 @@ impl Video {
             path: self.path.clone(),
             ffmpeg: self.ffmpeg.clone(),
             colour: TrackReader::new(colour),
+            conversion: self.conversion.clone(),
             depth: self.depth.as_ref().map(|depth| TrackReader::new(depth.pictures)),
             ..*self
         }
@@ -201,7 +205,10 @@ impl Video {
     /// A colour picture of its bytes.
     pub(crate) fn colour_image(&self, bytes: &[u8]) -> Image<f32> {
         let (width, height) = self.colour.pictures.size;
-        image_from_rgb(width, height, bytes)
+        match &self.conversion {
+            Some(conversion) => conversion.image((width, height), bytes),
+            None => image_from_rgb(width, height, bytes),
+        }
     }
 
     /// A depth picture of its bytes; `None` for a video of colour alone.
@@ -230,7 +237,7 @@ impl VideoListing {
             let reason = format!("its depth is {width}x{height} px, which cannot be used");
             return Err(DatasetError::file(path, reason));
         }
-        let pictures = Pictures { track: Track::Depth, size: frame.size };
+        let pictures = Pictures { track: Track::Depth, size: frame.size, is_deep: false };
         let part = until.map_or(Part::All, Part::Seconds);
         let log = ffmpeg.read_log(second, LISTING_FILTER, part)?;
         let mut warnings = Vec::new();

@@ -22,7 +22,7 @@ esac
 "#;
 
 /// Colour pictures of the script.
-const SMALL: Pictures = Pictures { track: Track::Colour, size: (2, 2) };
+const SMALL: Pictures = Pictures { track: Track::Colour, size: (2, 2), is_deep: false };
 
 fn part(end: Option<usize>) -> VideoPart {
     VideoPart { end, depth: Some(1.0), frame_rate: 30.0 }
@@ -343,4 +343,26 @@ fn ffmpeg_decodes_what_it_records() {
         assert_eq!(*frame, recorded.sequence.load(place).expect("a frame"));
     }
     assert_eq!(came.len(), 30);
+}
+
+#[test]
+#[ignore = "needs ffmpeg"]
+fn ffmpeg_decodes_high_dynamic_range_with_its_colours() {
+    let folder = Folder::new("hlg", 0, 0);
+    let path = folder.0.join("hlg.mkv");
+    let made = std::process::Command::new("ffmpeg")
+        .args(["-v", "error", "-f", "lavfi", "-i"])
+        // Grey of 75 %.
+        .arg("color=c=0xBFBFBF:s=32x32:d=0.2:r=10,scale=out_color_matrix=bt2020,format=yuv422p10le")
+        .args(["-c:v", "ffv1", "-color_primaries", "bt2020"])
+        .args(["-color_trc", "arib-std-b67", "-colorspace", "bt2020nc"])
+        .arg(&path)
+        .status();
+    assert!(made.expect("ffmpeg").success());
+    let listing = Video::open(&path, part(None)).expect("a video");
+    assert!(listing.warnings.is_empty(), "{:?}", listing.warnings);
+    assert_eq!(listing.video.transfer(), Some(Transfer::Hlg));
+    let picture = listing.video.decode(0).expect("a picture");
+    // White paper: the scene light 0.265, behind the first response.
+    assert!(picture.data.iter().all(|value| (value - 0.821).abs() < 0.01), "{:?}", picture.data[0]);
 }

@@ -25,13 +25,15 @@ impl Track {
     }
 }
 
-/// Pictures as ffmpeg gives them: R G B bytes, scaled to the size; or depth as it was recorded, 16
-/// bits a pixel, the lower byte first.
+/// Pictures as ffmpeg gives them: R G B bytes, scaled to the size, of high dynamic range 16 bits each; or
+/// depth as it was recorded, 16 bits a pixel. The lower byte comes first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Pictures {
     pub(super) track: Track,
     /// Width and height [px]; of depth as recorded.
     pub(super) size: (usize, usize),
+    /// Whether colour has 16 bits a channel.
+    pub(super) is_deep: bool,
 }
 
 impl Pictures {
@@ -39,9 +41,13 @@ impl Pictures {
     pub(super) fn filter(&self) -> String {
         let (width, height) = self.size;
         match self.track {
-            Track::Colour => format!(
-                "scale={width}:{height}:flags=area+accurate_rnd+full_chroma_int,setsar=1,format=rgb24"
-            ),
+            Track::Colour => {
+                let format = if self.is_deep { "rgb48le" } else { "rgb24" };
+                format!(
+                    "scale={width}:{height}:flags=area+accurate_rnd+full_chroma_int,setsar=1,\
+                     format={format}"
+                )
+            }
             Track::Depth => "format=gray16le".to_owned(),
         }
     }
@@ -49,6 +55,7 @@ impl Pictures {
     /// Length of a picture [bytes].
     pub(super) fn bytes(&self) -> usize {
         let pixel = match self.track {
+            Track::Colour if self.is_deep => 6,
             Track::Colour => 3,
             Track::Depth => 2,
         };
