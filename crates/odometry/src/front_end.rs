@@ -18,6 +18,7 @@ use crate::register::approximate_poses::{
     in_unit_of_path, place_unsupported, register_near, take_given_poses,
 };
 use crate::register::dense_constraints::add_dense_constraints;
+use crate::register::known_path::KnownPath;
 use crate::register::photographs::with_matches;
 use crate::register::position_refinement::refine_positions;
 use crate::register::registration::{adjust_all_frames, adjust_path, adjust_remaining_frames};
@@ -229,7 +230,7 @@ impl FrontEnd {
         drop(tracker);
         let closes_loops = map.closes_loops;
         let (online, online_poses) = map.into_state_and_poses();
-        let known = online.posed_keyframes();
+        let known = KnownPath::of(&online);
         let online = SfmState { progress: progress.clone(), ..online };
         // Measured depth tells poses of pictures that share few points, too.
         let posed = online.posed_frames().len() as f64;
@@ -242,14 +243,14 @@ impl FrontEnd {
         let (found, are_given) = match (is_unordered, given.as_slice()) {
             (true, []) => {
                 state = with_matches(state, &photographs, &[]);
-                (estimate_path(&mut state, &[], adjust_focal), false)
+                (estimate_path(&mut state, None, adjust_focal), false)
             }
             (true, given) => {
                 let (registered, stay) = register_near(state, &photographs, given);
                 state = registered;
                 (Ok(()), stay)
             }
-            (false, given) => estimate_path_or_take(&mut state, &known, given, adjust_focal),
+            (false, given) => estimate_path_or_take(&mut state, Some(&known), given, adjust_focal),
         };
         // A cancelled search may look like any other failure.
         if progress.is_cancelled() {
@@ -390,23 +391,30 @@ fn correct_rows(state: &mut SfmState, by_frame: &[Vec<usize>]) {
     }
 }
 
-/// Focal length and the map; `known` are poses of keyframes that may fit better.
+/// Focal length and the map; from the known path where it fits better, or where no two keyframes begin a map.
 fn estimate_path(
     state: &mut SfmState,
-    known: &[(usize, Pose<f64>)],
+    known: Option<&KnownPath>,
     adjust_focal: bool,
 ) -> Result<(), OdometryError> {
-    if adjust_focal {
-        search_focal_length(state)?;
+    let found = match adjust_focal {
+        true => search_focal_length(state),
+        false => Ok(()),
+    };
+    let built = found.and_then(|()| build_map(state, known, adjust_focal));
+    match (built, known) {
+        (Err(_), Some(known)) if known.start(state, adjust_focal) => {
+            build_map(state, None, adjust_focal)
+        }
+        (built, _) => built,
     }
-    build_map(state, known, adjust_focal)
 }
 
 /// Estimates the path of a film, or takes the given one, if there is one, where too few frames are found; true
 /// if it was taken. Depth that was measured is of use in its own unit alone.
 fn estimate_path_or_take(
     state: &mut SfmState,
-    known: &[(usize, Pose<f64>)],
+    known: Option<&KnownPath>,
     given: &[Option<Pose<f64>>],
     adjust_focal: bool,
 ) -> (Result<(), OdometryError>, bool) {

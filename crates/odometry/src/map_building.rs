@@ -5,19 +5,18 @@ use crate::error::OdometryError;
 use crate::loops::loop_closure::merge_overlapping_keyframes;
 use crate::register::first_pairs::register_photographs;
 use crate::register::initialization::initialize;
-use crate::register::known_path::better_known_path;
+use crate::register::known_path::KnownPath;
 use crate::register::registration::{
     adjust_all_frames, adjust_globally, register_keyframes, register_remaining_frames,
 };
 use crate::relocalize::relocalization::{FailedPairs, relocalize};
 use crate::sfm_state::SfmState;
-use i2slam_geometry::Pose;
 
-/// Builds the map from tracks alone, or of a film from the `known` poses of keyframes where these fit
-/// better: poses of all frames, and landmarks.
+/// Builds the map from tracks alone, or of a film from a path that is `known` where this fits better:
+/// poses of all frames, and landmarks.
 pub(crate) fn build_map(
     state: &mut SfmState,
-    known: &[(usize, Pose<f64>)],
+    known: Option<&KnownPath>,
     adjust_focal: bool,
 ) -> Result<(), OdometryError> {
     let is_started = !state.posed_frames().is_empty();
@@ -34,7 +33,8 @@ pub(crate) fn build_map(
         }
         // What was lost and found again has observations that another path has not.
         let is_comparable = !is_started && !was_lost && !state.has_depth();
-        let other = is_comparable.then(|| better_known_path(state, known, adjust_focal)).flatten();
+        let known = known.filter(|_| is_comparable);
+        let other = known.and_then(|known| known.better_than(state, adjust_focal));
         if let Some(mut other) = other {
             let other_was_lost = register_and_relocalize(&mut other, adjust_focal);
             if other.frames_covered() >= state.frames_covered() {
@@ -88,7 +88,7 @@ fn largest_component(state: &SfmState, adjust_focal: bool) -> Option<(SfmState, 
 mod tests {
     use super::*;
     use crate::fixtures::{camera, state};
-    use i2slam_geometry::{Rotation, Vec3};
+    use i2slam_geometry::{Pose, Rotation, Vec3};
 
     /// Around a point before a camera of narrow view.
     fn orbit(frame: usize) -> Pose<f64> {
@@ -106,7 +106,7 @@ mod tests {
         };
         let mut film = state((24, 12, 2), [25.0, 20.0], orbit, observe);
         film.reset();
-        let turned = |known: &[(usize, Pose<f64>)]| {
+        let turned = |known: Option<&KnownPath>| {
             let mut found = film.clone();
             build_map(&mut found, known, false).expect("a map");
             assert_eq!(found.posed_frames().len(), 24);
@@ -114,7 +114,8 @@ mod tests {
             first.local(last).rotation.y / orbit(0).local(orbit(22)).rotation.y
         };
         let known: Vec<_> = (0..24).step_by(2).map(|frame| (frame, orbit(frame))).collect();
-        let (without, with) = (turned(&[]), turned(&known));
+        let known = KnownPath { camera: film.camera, keyframes: known };
+        let (without, with) = (turned(None), turned(Some(&known)));
         assert!(without < 0.0 && (with - 1.0).abs() < 0.2, "{without} {with}");
     }
 }

@@ -83,10 +83,12 @@ pub enum Style {
     Under,
     /// A line with the area to the axis filled.
     Area,
-    /// Markers with error bars, joined by a line. The shape tells series apart without colour.
+    /// Markers with error bars. The shape tells series apart without colour.
     Markers {
         /// 0 to 3: circle, square, triangle, diamond.
         shape: usize,
+        /// Whether a line joins them.
+        are_joined: bool,
     },
 }
 
@@ -115,11 +117,23 @@ impl Series {
         Self { label, colour, style, points: points.collect() }
     }
 
-    /// Markers in the colour and shape of the series number `index` of a plot.
+    /// Joined markers in the colour and shape of the series number `index` of a plot.
     pub fn markers(label: &str, index: usize, points: Vec<Point>) -> Self {
         let colour = COLOURS[index % COLOURS.len()];
-        let style = Style::Markers { shape: (index + index / COLOURS.len()) % 4 };
+        let shape = (index + index / COLOURS.len()) % 4;
+        let style = Style::Markers { shape, are_joined: true };
         Self { label: label.to_owned(), colour, style, points }
+    }
+
+    /// Markers as [`markers`](Self::markers) makes them, which no line joins.
+    pub fn scattered(label: &str, index: usize, points: Vec<Point>) -> Self {
+        let series = Self::markers(label, index, points);
+        match series.style {
+            Style::Markers { shape, .. } => {
+                series.styled(Style::Markers { shape, are_joined: false })
+            }
+            _ => series,
+        }
     }
 
     /// The series in another style.
@@ -218,7 +232,7 @@ impl Plot {
         write!(out, "<p class=\"legend\">")?;
         for s in &self.series {
             let key = match s.style {
-                Style::Markers { shape } => {
+                Style::Markers { shape, .. } => {
                     let marker = marker(s.colour, shape, 0.0, 0.0);
                     format!("<svg class=\"key\" viewBox=\"-7 -7 14 14\">{marker}</svg>")
                 }
@@ -256,7 +270,10 @@ impl Plot {
 /// The line of a series, in pieces between points that are not finite, and its area.
 fn write_line(out: &mut String, axes: &Axes, series: &Series) -> std::fmt::Result {
     let is_finite = |p: &Point| p.x.is_finite() && p.y.is_finite();
-    let is_scatter = matches!(series.style, Style::Markers { .. });
+    let is_scatter = match series.style {
+        Style::Markers { are_joined: false, .. } => return Ok(()),
+        style => matches!(style, Style::Markers { .. }),
+    };
     let (colour, class, label) = (series.colour, series.style.class(), escape(&series.label));
     for piece in series.points.split(|p| !is_finite(p)) {
         if piece.is_empty() || is_scatter && piece.len() == 1 {
@@ -282,7 +299,7 @@ fn write_line(out: &mut String, axes: &Axes, series: &Series) -> std::fmt::Resul
 }
 
 fn write_markers(out: &mut String, axes: &Axes, series: &Series) -> std::fmt::Result {
-    let Style::Markers { shape } = series.style else { return Ok(()) };
+    let Style::Markers { shape, .. } = series.style else { return Ok(()) };
     let colour = series.colour;
     for point in &series.points {
         let (x, y) = axes.place(point.x, point.y);

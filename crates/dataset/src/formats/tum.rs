@@ -16,8 +16,9 @@ const COLUMNS: [&str; 8] = ["time stamp", "tx", "ty", "tz", "qx", "qy", "qz", "q
 
 /// Reads `world_from_camera` poses [s, m] in the TUM format, sorted by time.
 ///
-/// `#` starts a comment line. A number that is not finite, a wrong count of columns or a zero
-/// quaternion is an error that names file and line; so is a file without a pose.
+/// `#` starts a comment line. A stamp without a single finite number behind it, as some systems write
+/// where they were lost, is left out. Any other number that is not finite, a wrong count of columns or
+/// a zero quaternion is an error that names file and line; so is a file without a pose.
 pub fn read_trajectory(path: impl AsRef<Path>) -> Result<Trajectory, DatasetError> {
     read_poses(path.as_ref(), f64::INFINITY)
 }
@@ -30,6 +31,7 @@ pub(crate) fn read_unit_trajectory(path: &Path) -> Result<Trajectory, DatasetErr
 fn read_poses(path: &Path, tolerance: f64) -> Result<Trajectory, DatasetError> {
     let text = read_text(path)?;
     let mut trajectory = data_lines(&text)
+        .filter(|(_, content)| !is_lost(content))
         .map(|(line, content)| read_pose(path, line, content, tolerance))
         .collect::<Result<Trajectory, _>>()?;
     if trajectory.is_empty() {
@@ -37,6 +39,13 @@ fn read_poses(path: &Path, tolerance: f64) -> Result<Trajectory, DatasetError> {
     }
     trajectory.sort_by(|a, b| a.timestamp.total_cmp(&b.timestamp));
     Ok(trajectory)
+}
+
+/// Whether none of the numbers behind the stamp of a line is finite.
+fn is_lost(content: &str) -> bool {
+    let is_infinite = |text: &str| text.parse::<f64>().is_ok_and(|number| !number.is_finite());
+    let mut numbers = content.split_whitespace().skip(1).peekable();
+    numbers.peek().is_some() && numbers.all(is_infinite)
 }
 
 fn read_pose(

@@ -217,6 +217,14 @@ fn columns_are_in_the_order_of_tum() {
 }
 
 #[test]
+fn stamps_without_a_pose_are_left_out() {
+    let text =
+        "0 0 0 0 0 0 0 1\n1 nan nan NaN nan nan nan nan\n2 -inf -inf -inf -inf -inf -inf -inf\n";
+    let poses = read_trajectory(Folder::new().write("t.txt", text)).expect("one pose");
+    assert_eq!(poses.iter().map(|pose| pose.timestamp).collect::<Vec<_>>(), [0.0]);
+}
+
+#[test]
 fn bad_lines_are_named() {
     let folder = Folder::new();
     for (text, parts) in [

@@ -23,10 +23,10 @@ fn a_film_of_too_few_points_has_the_given_path() {
     let given: Vec<_> = (0..20).map(|frame| Some(pose(frame))).collect();
     let mut state = film(2);
     assert!(matches!(
-        estimate_path_or_take(&mut state, &[], &[], false),
+        estimate_path_or_take(&mut state, None, &[], false),
         (Err(OdometryError::TooFewPoints), false)
     ));
-    assert!(matches!(estimate_path_or_take(&mut state, &[], &given, false), (Ok(()), true)));
+    assert!(matches!(estimate_path_or_take(&mut state, None, &given, false), (Ok(()), true)));
     assert_eq!(state.poses, given);
     assert!(state.landmarks.iter().flatten().count() > 30);
 }
@@ -37,7 +37,7 @@ fn a_film_whose_path_is_found_leaves_the_given_one() {
         |frame: usize| Pose::new(Rotation::identity(), Vec3::new(0.0, 0.05 * frame as f64, 0.0));
     let given: Vec<_> = (0..20).map(|frame| Some(off(frame) * pose(frame))).collect();
     let mut state = film(20);
-    assert!(matches!(estimate_path_or_take(&mut state, &[], &given, false), (Ok(()), false)));
+    assert!(matches!(estimate_path_or_take(&mut state, None, &given, false), (Ok(()), false)));
     // The true path lies along the first camera's x axis.
     let [first, last] = [0, 19].map(|frame| state.poses[frame].expect("posed"));
     let along = (first.inverse() * last).translation;

@@ -3,7 +3,7 @@
 use super::Report;
 use crate::UnitOfLength;
 use crate::numbers::thousands;
-use crate::plot::{Horizontal, Plot, Series, Style};
+use crate::plot::{Horizontal, Plot, Point, Series, Style};
 use i2slam::Config;
 use i2slam::FrameEstimate;
 use i2slam::config::TrackingMethod;
@@ -58,9 +58,10 @@ pub(super) fn trajectory(report: &Report<'_>) -> String {
     let online = report.reconstruction.online_trajectory.iter().filter(|_| is_metric);
     let online: Vec<[f64; 3]> =
         online.map(|p| centre_in_first_camera(Pose::identity(), p.world_from_camera)).collect();
-    let paths = [&path, &truth, &online].map(Vec::as_slice);
-    let mut out = path_view("From above", [right, forward], paths, [0, 2]);
-    out += &path_view("From the side", [forward, up], paths, [2, 1]);
+    let names = report.metrics.unordered.then(|| picture_names(report));
+    let paths = Paths { path, truth, online, names };
+    let mut out = paths.view("From above", [right, forward], [0, 2]);
+    out += &paths.view("From the side", [forward, up], [2, 1]);
     if let Some(error) = position_error(frames, (report.ground_truth, report.metres_per_unit)) {
         out += &error.html();
     }
@@ -73,35 +74,78 @@ fn centre_in_first_camera(first_from_world: Pose<f64>, world_from_camera: Pose<f
     [centre.x, -centre.y, centre.z]
 }
 
-fn path_view(
-    title: &str,
-    [x_label, y_label]: [&str; 2],
-    [path, truth, online]: [&[[f64; 3]]; 3],
-    [across, up]: [usize; 2],
-) -> String {
-    let flat = |path: &[[f64; 3]]| -> Points { path.iter().map(|p| (p[across], p[up])).collect() };
-    let mut series = Vec::new();
-    if !truth.is_empty() {
-        series.push(Series::line("ground truth", "c2", flat(truth)).styled(Style::Under));
+/// Camera centres as [`centre_in_first_camera`] gives them.
+struct Paths {
+    path: Vec<[f64; 3]>,
+    truth: Vec<[f64; 3]>,
+    online: Vec<[f64; 3]>,
+    /// Of photographs the names of `path`: they are no path, and nothing joins them.
+    names: Option<Vec<String>>,
+}
+
+impl Paths {
+    /// The plot of two of the directions.
+    fn view(&self, title: &str, [x_label, y_label]: [&str; 2], directions: [usize; 2]) -> String {
+        let explanation =
+            "Where the camera was, in the directions of its first frame; one scale on both axes.";
+        Plot {
+            x_label: x_label.to_owned(),
+            horizontal: Horizontal::EqualScales,
+            from_zero: false,
+            series: match &self.names {
+                None => self.lines(directions),
+                Some(names) => self.points(names, directions),
+            },
+            marks: self.ends(directions),
+            ..over_frames(title, explanation, y_label)
+        }
+        .html()
     }
-    if !online.is_empty() {
-        let name = "known when frames came";
-        series.push(Series::line(name, "c3", flat(online)).styled(Style::Under));
+
+    fn lines(&self, [across, up]: [usize; 2]) -> Vec<Series> {
+        let flat =
+            |path: &[[f64; 3]]| -> Points { path.iter().map(|p| (p[across], p[up])).collect() };
+        let mut series = Vec::new();
+        if !self.truth.is_empty() {
+            let truth = Series::line("ground truth", "c2", flat(&self.truth));
+            series.push(truth.styled(Style::Under));
+        }
+        if !self.online.is_empty() {
+            let online = Series::line("known when frames came", "c3", flat(&self.online));
+            series.push(online.styled(Style::Under));
+        }
+        series.push(Series::line("estimate", "c1", flat(&self.path)));
+        series
     }
-    series.push(Series::line("estimate", "c1", flat(path)));
-    let ends = [("start", path.first()), ("end", path.last())];
-    let marks = ends.into_iter().filter_map(|(name, p)| p.map(|p| (name, p[across], p[up])));
-    let explanation =
-        "Where the camera was, in the directions of its first frame; one scale on both axes.";
-    Plot {
-        x_label: x_label.to_owned(),
-        horizontal: Horizontal::EqualScales,
-        from_zero: false,
-        series,
-        marks: marks.collect(),
-        ..over_frames(title, explanation, y_label)
+
+    fn points(&self, names: &[String], [across, up]: [usize; 2]) -> Vec<Series> {
+        let named =
+            |name: String, p: &[f64; 3]| Point { x: p[across], y: p[up], name, ..Point::default() };
+        let path = names.iter().cloned().zip(&self.path).map(|(name, p)| named(name, p));
+        let mut series = vec![Series::scattered("estimate", 0, path.collect())];
+        if !self.truth.is_empty() {
+            let truth = self.truth.iter().map(|p| named("ground truth".to_owned(), p));
+            series.push(Series::scattered("ground truth", 1, truth.collect()));
+        }
+        series
     }
-    .html()
+
+    /// Start and end of a path.
+    fn ends(&self, [across, up]: [usize; 2]) -> Vec<(&'static str, f64, f64)> {
+        if self.names.is_some() {
+            return Vec::new();
+        }
+        let ends = [("start", self.path.first()), ("end", self.path.last())];
+        ends.into_iter().filter_map(|(name, p)| p.map(|p| (name, p[across], p[up]))).collect()
+    }
+}
+
+/// The files of the frames, or their numbers.
+fn picture_names(report: &Report<'_>) -> Vec<String> {
+    let name = |frame: &FrameEstimate| {
+        report.files.get(frame.index).map_or_else(|| frame.index.to_string(), str::to_owned)
+    };
+    report.reconstruction.frames.iter().map(name).collect()
 }
 
 /// Distance of each estimate from the ground truth of its timestamp, in metres of the latter.
