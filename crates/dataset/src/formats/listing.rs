@@ -99,6 +99,8 @@ pub(crate) struct Listing {
     /// True poses that came with the frames.
     pub(crate) poses: Vec<StampedPose>,
     pub(crate) depth_encoding: DepthEncoding,
+    /// Folder of pictures of the confidence of depth, with the names of depth pictures: 0 is the least.
+    pub(crate) confidence: Option<PathBuf>,
     /// Decoder of the images, if the sequence is a video.
     pub(crate) video: Option<Video>,
     pub(crate) warnings: Vec<String>,
@@ -116,6 +118,7 @@ impl Listing {
             ground_truth: None,
             poses: Vec::new(),
             depth_encoding: DepthEncoding::Png,
+            confidence: None,
             video: None,
             warnings: Vec::new(),
         }

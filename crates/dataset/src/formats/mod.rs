@@ -16,6 +16,7 @@ mod replica;
 mod scannet;
 mod sens;
 mod seven_scenes;
+mod stray_scanner;
 mod tum;
 mod video;
 
@@ -57,6 +58,8 @@ pub enum Layout {
     SevenScenes,
     /// nerfstudio and instant-ngp: `transforms.json` with `depth_file_path`.
     Nerfstudio,
+    /// The app Stray Scanner: `rgb.mp4`, `depth/`, `camera_matrix.csv`.
+    StrayScanner,
     /// A colour folder beside a depth folder, or colour images alone.
     Plain,
     /// A video file; its second track is depth where it is 16-bit grey.
@@ -65,8 +68,9 @@ pub enum Layout {
 
 impl Layout {
     /// All layouts, in the order in which they are looked for.
-    pub const ALL: [Self; 9] = [
+    pub const ALL: [Self; 10] = [
         Self::Nerfstudio,
+        Self::StrayScanner,
         Self::Replica,
         Self::SevenScenes,
         Self::ScanNet,
@@ -98,6 +102,7 @@ impl Layout {
             Self::Replica => ("Replica (NICE-SLAM)", "results/frame*.jpg, results/depth*.png"),
             Self::SevenScenes => ("7-Scenes", "frame-*.color.png, frame-*.depth.png"),
             Self::Nerfstudio => ("nerfstudio", "transforms.json with depth_file_path"),
+            Self::StrayScanner => ("Stray Scanner", "rgb.mp4, depth/, camera_matrix.csv"),
             Self::Plain => {
                 ("colour and depth folders", "colour/ (color/, rgb/, images/), depth/, camera.json")
             }
@@ -143,6 +148,7 @@ pub(crate) enum DetectedLayout {
     Replica(replica::ReplicaFolders),
     SevenScenes,
     Nerfstudio(TransformsFile),
+    StrayScanner(PathBuf),
     Plain(folders::ImageFolders),
     Video,
 }
@@ -177,6 +183,9 @@ impl DetectedLayout {
         if let Some(file) = nerfstudio::find(path) {
             return TransformsFile::open(&file, true).map(Self::Nerfstudio).map(Some);
         }
+        if stray_scanner::is_recording(path) {
+            return Ok(Some(Self::StrayScanner(path.to_path_buf())));
+        }
         if let Some(folders) = replica::find(path) {
             return Ok(Some(Self::Replica(folders)));
         }
@@ -208,8 +217,17 @@ impl DetectedLayout {
             Self::Replica(_) => replica::DEFAULTS,
             Self::SevenScenes => seven_scenes::DEFAULTS,
             Self::Nerfstudio(file) => file.defaults(),
+            Self::StrayScanner(_) => stray_scanner::DEFAULTS,
             Self::Video => video::DEFAULTS,
             Self::Tum | Self::Eth3d(_) | Self::Plain(_) => FormatDefaults::TUM,
+        }
+    }
+
+    /// The options with what is usual for this layout, where it is not given.
+    pub(crate) fn with_usual_options(&self, options: &OpenOptions) -> OpenOptions {
+        match self {
+            Self::StrayScanner(_) => stray_scanner::with_usual_size(options),
+            _ => options.clone(),
         }
     }
 
@@ -223,6 +241,7 @@ impl DetectedLayout {
             Self::Replica(folders) => replica::calibration(folders).map(Some),
             Self::SevenScenes => Ok(Some(seven_scenes::calibration())),
             Self::Nerfstudio(file) => file.calibration().map(Some),
+            Self::StrayScanner(folder) => stray_scanner::calibration(folder).map(Some),
         }
     }
 
@@ -246,6 +265,7 @@ impl DetectedLayout {
             Self::Replica(folders) => replica::list(folders, options, frame_rate),
             Self::SevenScenes => seven_scenes::list(path, options, frame_rate),
             Self::Nerfstudio(file) => file.list(options, frame_rate),
+            Self::StrayScanner(folder) => stray_scanner::list(folder, options, frame_rate),
             Self::Plain(folders) => folders::list(path, folders, options, frame_rate),
             Self::Video => video::list(path, options, frame_rate),
         }

@@ -122,6 +122,7 @@ impl Sequence {
         layout: &DetectedLayout,
         options: &OpenOptions,
     ) -> Result<Self, DatasetError> {
+        let options = &layout.with_usual_options(options);
         let calibration = find_calibration(path, layout, options);
         let assumed_rate = calibration.as_ref().ok().and_then(|c| c.format.frame_rate);
         let is_rate_given = assumed_rate.is_some();
@@ -178,6 +179,7 @@ impl Sequence {
             depth_scale: calibration.format.depth_scale,
             max_depth: options.max_depth.unwrap_or(f64::INFINITY),
             depth_encoding: listing.depth_encoding,
+            confidence: listing.confidence,
             invalid_depth: calibration.format.invalid_depth,
             colour_only: options.colour_only,
             orientation,

@@ -7,6 +7,7 @@ mod import;
 mod own_camera;
 mod scannet;
 mod sequences;
+mod stray_scanner;
 mod support;
 #[cfg(unix)]
 mod video_depth;
