@@ -240,15 +240,15 @@ impl FrontEnd {
             true => photographs_state(online, &photographs, &intrinsics),
             false => initial_state(online, &intrinsics),
         };
-        let (found, are_given) = match (is_unordered, given.as_slice()) {
+        let found = match (is_unordered, given.as_slice()) {
             (true, []) => {
                 state = with_matches(state, &photographs, &[]);
-                (estimate_path(&mut state, None, adjust_focal), false)
+                estimate_path(&mut state, None, adjust_focal).map(|()| PathSource::Tracks)
             }
             (true, given) => {
                 let (registered, stay) = register_near(state, &photographs, given);
                 state = registered;
-                (Ok(()), stay)
+                Ok(if stay { PathSource::Given } else { PathSource::Tracks })
             }
             (false, given) => estimate_path_or_take(&mut state, Some(&known), given, adjust_focal),
         };
@@ -256,7 +256,8 @@ impl FrontEnd {
         if progress.is_cancelled() {
             return Err(OdometryError::Cancelled);
         }
-        found?;
+        let source = found?;
+        let are_given = source == PathSource::Given;
         let mut distortion_dropped = false;
         if !are_given {
             distortion_dropped = refine_path(&mut state, closes_loops, adjust_focal);
@@ -277,6 +278,7 @@ impl FrontEnd {
         }
         let built = build_reconstruction(state, &timestamps, &intrinsics, found, &is_repeat);
         let built = Reconstruction { online_poses, has_given_poses: are_given, ..built };
+        let built = if source == PathSource::Known { built.doubted() } else { built };
         Ok(wrong.applied_to(built))
     }
 }
@@ -391,42 +393,53 @@ fn correct_rows(state: &mut SfmState, by_frame: &[Vec<usize>]) {
     }
 }
 
-/// Focal length and the map; from the known path where it fits better, or where no two keyframes begin a map.
+/// Beginning of the path of a film.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum PathSource {
+    /// Its tracks.
+    Tracks,
+    /// The path that was known when its last frame came, as no two keyframes have enough parallax.
+    Known,
+    /// Given poses, which stay.
+    Given,
+}
+
+/// Focal length and the map; `known` is a path that may fit better.
 fn estimate_path(
     state: &mut SfmState,
     known: Option<&KnownPath>,
     adjust_focal: bool,
 ) -> Result<(), OdometryError> {
-    let found = match adjust_focal {
-        true => search_focal_length(state),
-        false => Ok(()),
-    };
-    let built = found.and_then(|()| build_map(state, known, adjust_focal));
-    match (built, known) {
-        (Err(_), Some(known)) if known.start(state, adjust_focal) => {
-            build_map(state, None, adjust_focal)
-        }
-        (built, _) => built,
+    if adjust_focal {
+        search_focal_length(state)?;
     }
+    build_map(state, known, adjust_focal)
 }
 
-/// Estimates the path of a film, or takes the given one, if there is one, where too few frames are found; true
-/// if it was taken. Depth that was measured is of use in its own unit alone.
+/// Estimates the path of a film, or takes the given one, if there is one, where too few frames are found. Depth
+/// that was measured is of use in its own unit alone. Where no two keyframes begin a map, the `known` path may.
 fn estimate_path_or_take(
     state: &mut SfmState,
     known: Option<&KnownPath>,
     given: &[Option<Pose<f64>>],
     adjust_focal: bool,
-) -> (Result<(), OdometryError>, bool) {
+) -> Result<PathSource, OdometryError> {
     let found = estimate_path(state, known, adjust_focal);
     let posed = if found.is_ok() { state.posed_frames().len() } else { 0 };
     let is_enough = posed as f64 >= MIN_POSED_SHARE * given.len() as f64;
-    if given.is_empty() || is_enough || state.has_depth() || state.progress.is_cancelled() {
-        return (found, false);
+    if !given.is_empty() && !is_enough && !state.has_depth() && !state.progress.is_cancelled() {
+        state.drop_readout();
+        take_given_poses(state, given);
+        return Ok(PathSource::Given);
     }
-    state.drop_readout();
-    take_given_poses(state, given);
-    (Ok(()), true)
+    let Err(error) = found else { return Ok(PathSource::Tracks) };
+    let lacks_parallax =
+        matches!(error, OdometryError::RotationOnly { .. } | OdometryError::NoConsistentMotion);
+    if lacks_parallax && known.is_some_and(|known| known.begin(state, adjust_focal)) {
+        build_map(state, None, adjust_focal)?;
+        return Ok(PathSource::Known);
+    }
+    Err(error)
 }
 
 /// Adjusts the path until cost and focal length converge: slow bends hardly change one cost.

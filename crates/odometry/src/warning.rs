@@ -30,6 +30,11 @@ pub enum Warning {
         /// First and last frame.
         frames: [usize; 2],
     },
+    /// No two keyframes have enough parallax to begin a map.
+    #[error(
+        "the camera hardly moves beside turning: its path may be off by several times the claimed deviations; walk sideways, or give depth"
+    )]
+    LittleParallax,
     /// Consecutive frames without points to track.
     #[error(
         "{} without points to track: the lens was covered, or it is too dark or too blurred there",

@@ -119,21 +119,19 @@ impl Series {
 
     /// Joined markers in the colour and shape of the series number `index` of a plot.
     pub fn markers(label: &str, index: usize, points: Vec<Point>) -> Self {
-        let colour = COLOURS[index % COLOURS.len()];
-        let shape = (index + index / COLOURS.len()) % 4;
-        let style = Style::Markers { shape, are_joined: true };
-        Self { label: label.to_owned(), colour, style, points }
+        Self::with_markers((label, index), points, true)
     }
 
     /// Markers as [`markers`](Self::markers) makes them, which no line joins.
     pub fn scattered(label: &str, index: usize, points: Vec<Point>) -> Self {
-        let series = Self::markers(label, index, points);
-        match series.style {
-            Style::Markers { shape, .. } => {
-                series.styled(Style::Markers { shape, are_joined: false })
-            }
-            _ => series,
-        }
+        Self::with_markers((label, index), points, false)
+    }
+
+    fn with_markers((label, index): (&str, usize), points: Vec<Point>, are_joined: bool) -> Self {
+        let colour = COLOURS[index % COLOURS.len()];
+        let shape = (index + index / COLOURS.len()) % 4;
+        let style = Style::Markers { shape, are_joined };
+        Self { label: label.to_owned(), colour, style, points }
     }
 
     /// The series in another style.
@@ -270,13 +268,13 @@ impl Plot {
 /// The line of a series, in pieces between points that are not finite, and its area.
 fn write_line(out: &mut String, axes: &Axes, series: &Series) -> std::fmt::Result {
     let is_finite = |p: &Point| p.x.is_finite() && p.y.is_finite();
-    let is_scatter = match series.style {
+    let has_markers = match series.style {
         Style::Markers { are_joined: false, .. } => return Ok(()),
         style => matches!(style, Style::Markers { .. }),
     };
     let (colour, class, label) = (series.colour, series.style.class(), escape(&series.label));
     for piece in series.points.split(|p| !is_finite(p)) {
-        if piece.is_empty() || is_scatter && piece.len() == 1 {
+        if piece.is_empty() || has_markers && piece.len() == 1 {
             continue;
         }
         let placed: Vec<_> = piece.iter().map(|p| axes.place(p.x, p.y)).collect();

@@ -31,8 +31,7 @@ pub(crate) fn read_unit_trajectory(path: &Path) -> Result<Trajectory, DatasetErr
 fn read_poses(path: &Path, tolerance: f64) -> Result<Trajectory, DatasetError> {
     let text = read_text(path)?;
     let mut trajectory = data_lines(&text)
-        .filter(|(_, content)| !is_lost(content))
-        .map(|(line, content)| read_pose(path, line, content, tolerance))
+        .filter_map(|(line, content)| read_pose(path, line, content, tolerance).transpose())
         .collect::<Result<Trajectory, _>>()?;
     if trajectory.is_empty() {
         return Err(DatasetError::empty(path, "lines with timestamp tx ty tz qx qy qz qw"));
@@ -41,19 +40,13 @@ fn read_poses(path: &Path, tolerance: f64) -> Result<Trajectory, DatasetError> {
     Ok(trajectory)
 }
 
-/// Whether none of the numbers behind the stamp of a line is finite.
-fn is_lost(content: &str) -> bool {
-    let is_infinite = |text: &str| text.parse::<f64>().is_ok_and(|number| !number.is_finite());
-    let mut numbers = content.split_whitespace().skip(1).peekable();
-    numbers.peek().is_some() && numbers.all(is_infinite)
-}
-
+/// The pose of a line; `None` if no number behind the stamp is finite.
 fn read_pose(
     path: &Path,
     line: usize,
     content: &str,
     tolerance: f64,
-) -> Result<StampedPose, DatasetError> {
+) -> Result<Option<StampedPose>, DatasetError> {
     let columns: Vec<&str> = content.split_whitespace().collect();
     if columns.len() != COLUMNS.len() {
         let reason = format!(
@@ -61,6 +54,10 @@ fn read_pose(
             columns.len()
         );
         return Err(DatasetError::line(path, line, reason));
+    }
+    let is_lost = |text: &&str| text.parse::<f64>().is_ok_and(|number| !number.is_finite());
+    if columns[1..].iter().all(is_lost) {
+        return parse_number(path, line, COLUMNS[0], columns[0]).map(|_| None);
     }
     let [timestamp, tx, ty, tz, qx, qy, qz, qw] = parse_numbers(path, line, COLUMNS, &columns)?;
     let rotation = Rotation::from_wxyz(qw, qx, qy, qz).ok_or_else(|| {
@@ -70,7 +67,7 @@ fn read_pose(
         return Err(DatasetError::line(path, line, reason));
     }
     let world_from_camera = Pose::new(rotation, Vec3::new(tx, ty, tz));
-    Ok(StampedPose { timestamp, world_from_camera })
+    Ok(Some(StampedPose { timestamp, world_from_camera }))
 }
 
 /// Writes `world_from_camera` poses [s, m] in the TUM format.

@@ -17,7 +17,7 @@ pub(crate) use delivery::delivered_size;
 use crate::camera::{Calibration, Distortion, ExifHints};
 use crate::formats::{DetectedLayout, DroppedFrames, FrameEntry, Layout, Listing, read_trajectory};
 use crate::image::{RecordingCameras, image_size};
-use crate::video::{Transfer, is_stream, is_video, refused_stream};
+use crate::video::{is_stream, is_video, refused_stream};
 use crate::{DatasetError, OpenOptions};
 use black_bars::black_bars_warning;
 use checks::{camera_warning, coverage_warning, depth_scale_warning, recording_cameras};
@@ -92,12 +92,13 @@ impl Sequence {
     pub fn layout_name(&self) -> &'static str {
         match self.layout {
             Layout::Plain if self.frames_with_depth() == 0 => "folder of pictures",
-            layout => match self.loader.video.as_ref().and_then(|video| video.transfer()) {
-                Some(Transfer::Hlg) => "video of high dynamic range (HLG)",
-                Some(Transfer::Pq) => "video of high dynamic range (PQ)",
-                None => layout.name(),
-            },
+            layout => layout.name(),
         }
+    }
+
+    /// Transfer function of a video of high dynamic range, HLG or PQ, whose pictures are converted.
+    pub fn high_dynamic_range(&self) -> Option<&'static str> {
+        Some(self.loader.video.as_ref()?.transfer()?.name())
     }
 
     /// Opens a folder, a `.sens` file or a video. Reads lists, headers and a few depth images only;

@@ -18,8 +18,10 @@ pub(super) struct FfmpegLog {
     pub(super) duration: Option<f64>,
     /// Codec of the first video stream.
     pub(super) codec: Option<String>,
-    /// Its transfer function, where that is one of high dynamic range.
+    /// Transfer function of the frames, where that is one of high dynamic range.
     pub(super) transfer: Option<Transfer>,
+    /// Whether their primaries are those of BT.2020.
+    pub(super) has_wide_primaries: bool,
     /// Whether the track that was asked for is not there.
     pub(super) lacks_track: bool,
     /// First error that is not [secondary](SECONDARY_ERRORS).
@@ -47,6 +49,10 @@ impl FfmpegLog {
     /// Parses the next line.
     pub(super) fn push_line(&mut self, line: &str) {
         if line.contains("showinfo") {
+            if let Some(name) = word(line, "color_trc:") {
+                self.transfer = Transfer::named_in(name);
+                self.has_wide_primaries = word(line, "color_primaries:") == Some("bt2020");
+            }
             if let Some(base) = after(line, "config in time_base:") {
                 self.time_base = ratio(base.split([',', ' ']).next().unwrap_or_default(), '/');
             }
@@ -56,9 +62,13 @@ impl FfmpegLog {
         if let Some(length) = after(line, "Duration:").filter(|_| self.duration.is_none()) {
             self.duration = parse_duration(length.split(',').next().unwrap_or_default());
         }
-        if let Some(video) = after(line, " Video:").filter(|_| self.codec.is_none()) {
+        // Titles and comments come first, and may say anything.
+        let is_stream = without_prefix(line).starts_with("Stream #");
+        if let Some(video) = after(line, " Video:").filter(|_| is_stream && self.codec.is_none()) {
             self.codec = video.split(',').next().map(str::to_owned);
-            self.transfer = Transfer::logged(video);
+            // Versions before 4.3 do not say it of frames.
+            self.transfer = Transfer::named_in(video);
+            self.has_wide_primaries = video.contains("/bt2020/");
         }
         self.lacks_track |= line.contains("matches no streams");
         let is_error = line.contains("[error]") || line.contains("[fatal]");
@@ -189,6 +199,14 @@ mod tests {
         };
         let found = ["arib-std-b67", "smpte2084", "bt709"].map(of);
         assert_eq!(found, [Some(Transfer::Hlg), Some(Transfer::Pq), None]);
+        let title = "[info]     title           : My HDR Video: sunset, arib-std-b67\n";
+        let stream = "[info] Stream #0:0: Video: h264, yuv420p(tv, bt709), 64x48\n";
+        let frame = "[Parsed_showinfo_0 @ 0x1] [info] color_range:tv color_space:bt2020nc \
+                     color_primaries:bt2020 color_trc:arib-std-b67";
+        let standard = log_of(&format!("{title}{stream}"));
+        assert_eq!((standard.transfer, standard.codec.as_deref()), (None, Some("h264")));
+        let high = log_of(&format!("{title}{stream}{frame}"));
+        assert_eq!((high.transfer, high.has_wide_primaries), (Some(Transfer::Hlg), true));
     }
 
     #[test]

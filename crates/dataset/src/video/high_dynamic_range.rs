@@ -2,14 +2,14 @@
 //! with the primaries of BT.709.
 //!
 //! Their transfer functions are known, and so is the response of the pictures made of them: the curve
-//! that a reconstruction [starts with](StartCurve::Shoulder), applied to scene light. Highlights stay
-//! below white, as far as the video holds them.
+//! that a reconstruction [starts with](StartCurve::Shoulder), applied to scene light. Colours that BT.709
+//! cannot show are mixed with grey of their luminance; of PQ light above 1000 cd/m² is white.
 
 use i2slam_formation::tone::StartCurve;
 use i2slam_geometry::Image;
 use std::sync::Arc;
 
-/// Transfer functions as ffmpeg logs them.
+/// Transfer functions as ffmpeg calls them.
 const LOGGED: [(&str, Transfer); 2] =
     [("arib-std-b67", Transfer::Hlg), ("smpte2084", Transfer::Pq)];
 
@@ -17,8 +17,14 @@ const LOGGED: [(&str, Transfer); 2] =
 const BT709_FROM_BT2020: [[f32; 3]; 3] =
     [[1.660_5, -0.587_6, -0.072_8], [-0.124_6, 1.132_9, -0.008_3], [-0.018_2, -0.100_6, 1.118_7]];
 
-/// Luminance of linear BT.2020.
+const IDENTITY: [[f32; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+
+/// Luminance of linear BT.2020, and of linear BT.709.
 const LUMINANCE: [f32; 3] = [0.262_7, 0.678, 0.059_3];
+const LUMINANCE_BT709: [f32; 3] = [0.212_6, 0.715_2, 0.072_2];
+
+/// White of swscale's `rgb48`, which shifts 8 bits up.
+const WHITE: f64 = 65_280.0;
 
 /// Luminance of white of the display that PQ is converted for \[cd/m²\], and the exponent by which a
 /// display of it shows scene light (BT.2100, BT.2408).
@@ -35,9 +41,17 @@ pub(crate) enum Transfer {
 }
 
 impl Transfer {
-    /// The one that a line of ffmpeg's log about a track names.
-    pub(super) fn logged(line: &str) -> Option<Self> {
-        LOGGED.iter().find(|(name, _)| line.contains(name)).map(|(_, transfer)| *transfer)
+    /// The one that a text of ffmpeg names.
+    pub(super) fn named_in(text: &str) -> Option<Self> {
+        LOGGED.iter().find(|(name, _)| text.contains(name)).map(|(_, transfer)| *transfer)
+    }
+
+    /// Its usual name.
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::Hlg => "HLG",
+            Self::Pq => "PQ",
+        }
     }
 
     /// Linear light of a value in [0, 1]: of the scene, 1 the brightest (HLG), or of the display, 1 for
@@ -63,14 +77,17 @@ impl Transfer {
 #[derive(Clone, Debug)]
 pub(super) struct Conversion {
     transfer: Transfer,
+    bt709_from_video: [[f32; 3]; 3],
     /// Linear light of every value.
     linear: Arc<[f32]>,
 }
 
 impl Conversion {
-    pub(super) fn new(transfer: Transfer) -> Self {
-        let of = |value: u16| transfer.linear(f64::from(value) / f64::from(u16::MAX)) as f32;
-        Self { transfer, linear: (0..=u16::MAX).map(of).collect() }
+    /// For videos of a transfer function, with the primaries of BT.2020 or of BT.709.
+    pub(super) fn new(transfer: Transfer, has_wide_primaries: bool) -> Self {
+        let of = |value: u16| transfer.linear((f64::from(value) / WHITE).min(1.0)) as f32;
+        let bt709_from_video = if has_wide_primaries { BT709_FROM_BT2020 } else { IDENTITY };
+        Self { transfer, bt709_from_video, linear: (0..=u16::MAX).map(of).collect() }
     }
 
     pub(super) fn transfer(&self) -> Transfer {
@@ -99,11 +116,20 @@ impl Conversion {
             Transfer::Hlg => linear,
             Transfer::Pq => scene_light(linear),
         };
-        BT709_FROM_BT2020.map(|row| {
-            let light = dot(row, scene).clamp(0.0, 1.0);
-            StartCurve::Shoulder.evaluate(f64::from(light)) as f32
-        })
+        let light = within_gamut(self.bt709_from_video.map(|row| dot(row, scene)));
+        light.map(|value| StartCurve::Shoulder.evaluate(f64::from(value)) as f32)
     }
+}
+
+/// A colour of linear BT.709, mixed with grey of its luminance until all channels are in [0, 1].
+fn within_gamut(colour: [f32; 3]) -> [f32; 3] {
+    let grey = dot(LUMINANCE_BT709, colour).clamp(0.0, 1.0);
+    let share = colour.into_iter().fold(1.0_f32, |share, value| match value - grey {
+        above if value > 1.0 => share.min((1.0 - grey) / above),
+        below if value < 0.0 => share.min(grey / -below),
+        _ => share,
+    });
+    colour.map(|value| (share * value + (1.0 - share) * grey).clamp(0.0, 1.0))
 }
 
 /// Scene light that a display of [`PEAK`] shows so: the inverse of the system of HLG, which multiplies
@@ -125,9 +151,9 @@ mod tests {
     #[test]
     fn white_paper_is_the_same_in_both() {
         let of = |transfer: Transfer, value: f64| {
-            let value = (value * f64::from(u16::MAX)).round() as u16;
+            let value = (value * WHITE).round() as u16;
             let bytes = [value.to_le_bytes(); 3].concat();
-            Conversion::new(transfer).image((1, 1), &bytes).data
+            Conversion::new(transfer, true).image((1, 1), &bytes).data
         };
         let (hlg, pq) = (of(Transfer::Hlg, 0.75), of(Transfer::Pq, 0.5807));
         let expected = StartCurve::Shoulder.evaluate(0.265) as f32;
@@ -149,14 +175,24 @@ mod tests {
         let known = [0.05_f32, 0.02, 0.01];
         let bytes: Vec<u8> = bt2020_from_bt709
             .iter()
-            .flat_map(|row| {
-                ((hlg(dot(*row, known)) * f32::from(u16::MAX)).round() as u16).to_le_bytes()
-            })
+            .flat_map(|row| ((hlg(dot(*row, known)) * WHITE as f32).round() as u16).to_le_bytes())
             .collect();
-        let found = Conversion::new(Transfer::Hlg).image((1, 1), &bytes).data;
+        let found = Conversion::new(Transfer::Hlg, true).image((1, 1), &bytes).data;
         for (found, known) in found.iter().zip(known) {
             let expected = StartCurve::Shoulder.evaluate(f64::from(known)) as f32;
             assert!((found - expected).abs() < 1e-3, "{found} for {expected}");
         }
+    }
+
+    #[test]
+    fn colours_beyond_bt709_keep_their_luminance() {
+        for colour in [[1.2, 0.3, 0.1], [-0.1, 0.3, 0.05], [1.4, -0.2, 0.1], [0.3, 0.9, 0.2]] {
+            let found = within_gamut(colour);
+            assert!(found.iter().all(|value| (0.0..=1.0).contains(value)), "{found:?}");
+            let luminance = [colour, found].map(|colour| dot(LUMINANCE_BT709, colour));
+            assert!((luminance[0] - luminance[1]).abs() < 1e-6, "{colour:?} {found:?}");
+        }
+        assert_eq!(within_gamut([0.3, 0.9, 0.2]), [0.3, 0.9, 0.2]);
+        assert_eq!(within_gamut([2.0, 2.0, 2.0]), [1.0; 3]);
     }
 }

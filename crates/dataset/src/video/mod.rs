@@ -19,14 +19,13 @@ use crate::image::{MAX_PIXELS, image_from_rgb};
 use crate::text::counted;
 use ffmpeg::{Ffmpeg, Part};
 use ffmpeg_log::FfmpegLog;
-use high_dynamic_range::Conversion;
+use high_dynamic_range::{Conversion, Transfer};
 use i2slam_geometry::Image;
 use std::path::{Path, PathBuf};
 use timestamps::RepairedTimestamps;
 use track::{Pictures, Track, TrackReader};
 
 pub use encode::{VideoEncoder, VideoFormat};
-pub(crate) use high_dynamic_range::Transfer;
 pub(crate) use live_frames::LiveFrames;
 pub use recording::{MAX_RECORDING_BYTES, is_stream};
 pub(crate) use recording::{Recording, refused_stream};
@@ -123,7 +122,8 @@ impl Video {
         let timestamps = timestamps(&log, count, frame_rate, &mut warnings);
         let is_whole = end.is_none_or(|end| all < end);
         warnings.extend(damage_warning(&log, &timestamps).filter(|_| is_whole));
-        let conversion = first.transfer.map(Conversion::new);
+        let conversion =
+            first.transfer.map(|transfer| Conversion::new(transfer, first.has_wide_primaries));
         let is_deep = conversion.is_some();
         let colour = TrackReader::new(Pictures { track: Track::Colour, size, is_deep });
         let path = path.to_path_buf();

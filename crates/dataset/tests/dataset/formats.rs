@@ -230,6 +230,8 @@ fn bad_lines_are_named() {
     for (text, parts) in [
         ("0 0 0 0 0 0 0 1\n1 NaN 0 0 0 0 0 1\n", ["line 2", "tx is NaN"]),
         ("# c\n1 0 0 0 0 0 1\n", ["line 2", "7 columns, expected 8"]),
+        ("1 nan nan\n", ["line 1", "3 columns, expected 8"]),
+        ("nan nan nan nan nan nan nan nan\n", ["line 1", "time stamp is NaN"]),
         ("1 0 0 0 0 0 0 0\n", ["line 1", "quaternion is zero"]),
         ("1 0 0 zero 0 0 0 1\n", ["line 1", "tz is 'zero'"]),
         ("# only a comment\n", ["is empty", "timestamp tx ty tz"]),

@@ -24,9 +24,12 @@ fn a_film_of_too_few_points_has_the_given_path() {
     let mut state = film(2);
     assert!(matches!(
         estimate_path_or_take(&mut state, None, &[], false),
-        (Err(OdometryError::TooFewPoints), false)
+        Err(OdometryError::TooFewPoints)
     ));
-    assert!(matches!(estimate_path_or_take(&mut state, None, &given, false), (Ok(()), true)));
+    assert!(matches!(
+        estimate_path_or_take(&mut state, None, &given, false),
+        Ok(PathSource::Given)
+    ));
     assert_eq!(state.poses, given);
     assert!(state.landmarks.iter().flatten().count() > 30);
 }
@@ -37,7 +40,10 @@ fn a_film_whose_path_is_found_leaves_the_given_one() {
         |frame: usize| Pose::new(Rotation::identity(), Vec3::new(0.0, 0.05 * frame as f64, 0.0));
     let given: Vec<_> = (0..20).map(|frame| Some(off(frame) * pose(frame))).collect();
     let mut state = film(20);
-    assert!(matches!(estimate_path_or_take(&mut state, None, &given, false), (Ok(()), false)));
+    assert!(matches!(
+        estimate_path_or_take(&mut state, None, &given, false),
+        Ok(PathSource::Tracks)
+    ));
     // The true path lies along the first camera's x axis.
     let [first, last] = [0, 19].map(|frame| state.poses[frame].expect("posed"));
     let along = (first.inverse() * last).translation;
@@ -85,4 +91,31 @@ fn a_camera_that_stands_still_is_told_from_one_that_sees_too_little() {
     };
     assert!(matches!(end(0.15), OdometryError::StillCamera { motion } if motion < 0.5));
     assert!(matches!(end(0.0), OdometryError::TooFewPoints));
+}
+
+#[test]
+fn a_film_of_little_parallax_begins_with_the_known_path() {
+    let moved = |frame: usize| {
+        let t = frame as f64;
+        Pose::new(Rotation::exp(Vec3::new(0.0, 0.004 * t, 0.0)), Vec3::new(0.0012 * t, 0.0, 0.0))
+    };
+    let observe = |point: Vec3<f64>, frame: usize, _: &[f64]| {
+        let (u, v) = fixtures::camera().project(moved(frame).inverse() * point);
+        Some([u, v])
+    };
+    let mut film = fixtures::state((20, 20, 2), [150.0, 110.0], moved, observe);
+    film.reset();
+    let without = estimate_path_or_take(&mut film.clone(), None, &[], false);
+    assert!(matches!(without, Err(OdometryError::RotationOnly { .. })), "{without:?}");
+    let keyframes = (0..20).step_by(2).map(|frame| (frame, moved(frame))).collect();
+    let known = KnownPath { camera: film.camera, keyframes };
+    let mut state = film.clone();
+    let source = estimate_path_or_take(&mut state, Some(&known), &[], false);
+    assert!(matches!(source, Ok(PathSource::Known)), "{source:?}");
+    assert_eq!(state.posed_frames().len(), 20);
+    // Poses that were given come before.
+    let given: Vec<_> = (0..20).map(|frame| Some(moved(frame))).collect();
+    let mut state = film.clone();
+    let source = estimate_path_or_take(&mut state, Some(&known), &given, false);
+    assert!(matches!(source, Ok(PathSource::Given)) && state.poses == given, "{source:?}");
 }

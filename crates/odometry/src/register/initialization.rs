@@ -201,6 +201,15 @@ fn reconstruct_pair(state: &mut SfmState, pair: &KeyframePair, view: RelativePos
     state.adjust(&[pair.second], false, 20);
     state.update_noise_scale();
     state.reject_outliers();
+    landmarks_with_parallax(state)
+}
+
+/// True if enough landmarks have parallax to begin a map with.
+pub(crate) fn has_parallax(state: &SfmState) -> bool {
+    landmarks_with_parallax(state) >= MIN_LANDMARKS
+}
+
+fn landmarks_with_parallax(state: &SfmState) -> usize {
     let wide = state.landmarks.iter().flatten().filter(|landmark| {
         landmark.inverse_depth() > 0.0
             && parallax(landmark, state.poses.iter().flatten().copied()) > MIN_ANGLE

@@ -4,6 +4,7 @@
 //! To a camera of narrow view a scene looks nearly like its Necker reversal, with depth and motion reversed.
 //! Which of the two a pair of keyframes begins with is chance, and adjustment stays with it.
 
+use super::initialization::has_parallax;
 use super::registration::{MIN_FOCAL_FRAMES, adjust_globally};
 use crate::sfm_state::SfmState;
 use i2slam_geometry::{Camera, Pose};
@@ -26,22 +27,26 @@ impl KnownPath {
         Self { camera: state.camera, keyframes: state.posed_keyframes() }
     }
 
-    /// Starts the map of a film with this path, adjusted, where no two keyframes alone do; false if it has too
-    /// few of the keyframes. With measured depth a map begins with one keyframe.
-    pub(crate) fn start(&self, state: &mut SfmState, adjust_focal: bool) -> bool {
+    /// Begins the map of a film by colour alone with this path, adjusted, where no two keyframes alone do; false,
+    /// and the state is empty, if it has less than half of the keyframes, or too little parallax as well.
+    pub(crate) fn begin(&self, state: &mut SfmState, adjust_focal: bool) -> bool {
+        state.reset();
         let least = MIN_FOCAL_FRAMES.max(state.tracks.keyframes.len().div_ceil(2));
         let is_possible = self.keyframes.len() >= least && !state.has_depth();
         if !is_possible || state.progress.is_cancelled() {
             return false;
         }
-        state.reset();
         if adjust_focal {
             state.camera = self.camera;
+            // That of the search goes with another focal length.
+            state.update_distortion(state.distortion.map(|k| -k));
         }
-        let keyframes = state.keyframes_only();
-        let refined = adjusted(keyframes, &self.keyframes, adjust_focal).1;
-        state.start_from(refined);
-        true
+        let refined = adjusted(state.keyframes_only(), &self.keyframes, adjust_focal).1;
+        let begins = has_parallax(&refined);
+        if begins {
+            state.start_from(refined);
+        }
+        begins
     }
 
     /// A state with these poses of keyframes, adjusted, in place of all that were found by colour alone, where
@@ -164,12 +169,14 @@ mod tests {
     }
 
     #[test]
-    fn a_film_without_a_pair_to_begin_with_starts_from_the_known_path() {
+    fn a_film_without_a_pair_to_begin_with_begins_with_the_known_path() {
         let mut state = found(pose, 0..0);
         let focal_length = state.camera.fx;
         state.camera = Camera { fx: 1.3 * focal_length, fy: 1.3 * focal_length, ..state.camera };
-        assert!(!known(pose, 14).start(&mut state, true) && state.posed_frames().is_empty());
-        assert!(known(pose, 0).start(&mut state, true));
+        assert!(!known(pose, 14).begin(&mut state, true) && state.posed_frames().is_empty());
+        let still = known(|frame| Pose::new(pose(frame).rotation, Vec3::zero()), 0);
+        assert!(!still.begin(&mut state, false) && state.posed_frames().is_empty());
+        assert!(known(pose, 0).begin(&mut state, true));
         assert_eq!(state.posed_frames().len(), FRAMES / 2);
         assert!((state.camera.fx / focal_length - 1.0).abs() < 0.1, "{}", state.camera.fx);
         assert!(state.landmarks.iter().flatten().count() > 100);

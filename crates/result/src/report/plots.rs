@@ -121,12 +121,14 @@ impl Paths {
     fn points(&self, names: &[String], [across, up]: [usize; 2]) -> Vec<Series> {
         let named =
             |name: String, p: &[f64; 3]| Point { x: p[across], y: p[up], name, ..Point::default() };
-        let path = names.iter().cloned().zip(&self.path).map(|(name, p)| named(name, p));
-        let mut series = vec![Series::scattered("estimate", 0, path.collect())];
+        let mut series = Vec::new();
         if !self.truth.is_empty() {
             let truth = self.truth.iter().map(|p| named("ground truth".to_owned(), p));
             series.push(Series::scattered("ground truth", 1, truth.collect()));
         }
+        // On top: its markers have the names of files.
+        let path = names.iter().cloned().zip(&self.path).map(|(name, p)| named(name, p));
+        series.push(Series::scattered("estimate", 0, path.collect()));
         series
     }
 

@@ -134,6 +134,9 @@ fn sequence_rows(sequence: &SequenceInfo) -> Vec<Row> {
         ("layout", sequence.layout.clone()),
         ("frames", frames(sequence)),
     ];
+    if let Some(transfer) = sequence.high_dynamic_range {
+        rows.push(("colours", format!("high dynamic range ({transfer}), converted to BT.709")));
+    }
     rows.extend(time_rows(times));
     rows.extend([
         (

@@ -19,6 +19,8 @@ const MIN_GAP_RATIO: f64 = 1.5;
 pub(super) struct SequenceInfo {
     pub(super) name: String,
     pub(super) layout: String,
+    /// Transfer function of a video of high dynamic range, HLG or PQ.
+    pub(super) high_dynamic_range: Option<&'static str>,
     pub(super) frames: usize,
     /// Frames that have a depth image of their own.
     pub(super) frames_with_depth: usize,
@@ -90,6 +92,7 @@ impl SequenceInfo {
         Self {
             name: sequence.name.clone(),
             layout: sequence.layout_name().to_owned(),
+            high_dynamic_range: sequence.high_dynamic_range(),
             frames: sequence.len(),
             frames_with_depth,
             left_out: sequence.dropped,
