@@ -278,7 +278,10 @@ impl FrontEnd {
         }
         let built = build_reconstruction(state, &timestamps, &intrinsics, found, &is_repeat);
         let built = Reconstruction { online_poses, has_given_poses: are_given, ..built };
-        let built = if source == PathSource::Known { built.doubted() } else { built };
+        let built = match source {
+            PathSource::Known => built.with_little_parallax(),
+            PathSource::Tracks | PathSource::Given => built,
+        };
         Ok(wrong.applied_to(built))
     }
 }

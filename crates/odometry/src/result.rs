@@ -82,14 +82,6 @@ pub struct Reconstruction {
 }
 
 impl Reconstruction {
-    /// The path with the warning that it has little parallax, and none of its poses converged.
-    #[must_use]
-    pub(crate) fn doubted(mut self) -> Self {
-        self.warnings.push(Warning::LittleParallax);
-        self.deviations.iter_mut().flatten().for_each(|deviation| deviation.converged = false);
-        self
-    }
-
     /// Scales camera, image positions and warnings to pictures of another size.
     #[must_use]
     pub fn resized(mut self, width: usize, height: usize) -> Self {

@@ -20,7 +20,7 @@ pub(super) struct FfmpegLog {
     pub(super) codec: Option<String>,
     /// Transfer function of the frames, where that is one of high dynamic range.
     pub(super) transfer: Option<Transfer>,
-    /// Whether their primaries are those of BT.2020.
+    /// Whether their primaries are those of BT.2020, as with HLG and PQ unless BT.709 is named.
     pub(super) has_wide_primaries: bool,
     /// Whether the track that was asked for is not there.
     pub(super) lacks_track: bool,
@@ -51,7 +51,7 @@ impl FfmpegLog {
         if line.contains("showinfo") {
             if let Some(name) = word(line, "color_trc:") {
                 self.transfer = Transfer::named_in(name);
-                self.has_wide_primaries = word(line, "color_primaries:") == Some("bt2020");
+                self.has_wide_primaries = word(line, "color_primaries:") != Some("bt709");
             }
             if let Some(base) = after(line, "config in time_base:") {
                 self.time_base = ratio(base.split([',', ' ']).next().unwrap_or_default(), '/');
@@ -68,7 +68,7 @@ impl FfmpegLog {
             self.codec = video.split(',').next().map(str::to_owned);
             // Versions before 4.3 do not say it of frames.
             self.transfer = Transfer::named_in(video);
-            self.has_wide_primaries = video.contains("/bt2020/");
+            self.has_wide_primaries = !video.contains("/bt709/");
         }
         self.lacks_track |= line.contains("matches no streams");
         let is_error = line.contains("[error]") || line.contains("[fatal]");

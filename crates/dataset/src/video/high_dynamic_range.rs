@@ -10,7 +10,7 @@ use i2slam_geometry::Image;
 use std::sync::Arc;
 
 /// Transfer functions as ffmpeg calls them.
-const LOGGED: [(&str, Transfer); 2] =
+const FFMPEG_NAMES: [(&str, Transfer); 2] =
     [("arib-std-b67", Transfer::Hlg), ("smpte2084", Transfer::Pq)];
 
 /// Linear BT.2020 to linear BT.709 (ITU-R BT.2087).
@@ -43,7 +43,7 @@ pub(crate) enum Transfer {
 impl Transfer {
     /// The one that a text of ffmpeg names.
     pub(super) fn named_in(text: &str) -> Option<Self> {
-        LOGGED.iter().find(|(name, _)| text.contains(name)).map(|(_, transfer)| *transfer)
+        FFMPEG_NAMES.iter().find(|(name, _)| text.contains(name)).map(|(_, transfer)| *transfer)
     }
 
     /// Its usual name.

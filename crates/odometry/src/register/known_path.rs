@@ -6,7 +6,9 @@
 
 use super::initialization::has_parallax;
 use super::registration::{MIN_FOCAL_FRAMES, adjust_globally};
+use crate::result::Reconstruction;
 use crate::sfm_state::SfmState;
+use crate::warning::Warning;
 use i2slam_geometry::{Camera, Pose};
 
 /// Largest cost of the known path, relative to that of the found one, at which it is taken. Measured 0.64
@@ -84,6 +86,16 @@ impl SfmState {
         self.noise_scale = refined.noise_scale;
         self.poses = refined.poses;
         self.triangulate_missing();
+    }
+}
+
+impl Reconstruction {
+    /// The path with the warning that it has little parallax, and none of its poses converged.
+    #[must_use]
+    pub(crate) fn with_little_parallax(mut self) -> Self {
+        self.warnings.push(Warning::LittleParallax);
+        self.deviations.iter_mut().flatten().for_each(|deviation| deviation.converged = false);
+        self
     }
 }
 
