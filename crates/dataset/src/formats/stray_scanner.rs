@@ -1,8 +1,8 @@
 //! Recordings of the app Stray Scanner on telephones with LiDAR: `rgb.mp4`, `depth/000000.png` [mm],
 //! `confidence/000000.png` and `camera_matrix.csv`.
 //!
-//! Depth has the number of its colour picture in the video, its field of view and a seventh of its
-//! size. Poses of the telephone (`odometry.csv`) are no ground truth, and not read.
+//! Depth has the number of its colour picture in the video, and its field of view in fewer
+//! pixels. Poses of the telephone (`odometry.csv`) are no ground truth, and not read.
 
 use super::file_pairing::{file_stem, last_number, list_images};
 use super::{DepthEntry, FrameEntry, Layout, Listing};
