@@ -87,7 +87,7 @@ pub enum Style {
     Markers {
         /// 0 to 3: circle, square, triangle, diamond.
         shape: usize,
-        /// Whether a line joins them.
+        /// True if a line joins them.
         are_joined: bool,
     },
 }

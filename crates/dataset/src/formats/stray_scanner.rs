@@ -24,7 +24,7 @@ const MAX_SIDE: usize = 640;
 const VIDEO: &str = "rgb.mp4";
 const CAMERA: &str = "camera_matrix.csv";
 
-/// Whether a folder holds such a recording.
+/// True if a folder holds such a recording.
 pub(super) fn is_recording(folder: &Path) -> bool {
     [VIDEO, CAMERA, "depth"].iter().all(|name| is_present(&folder.join(name)))
 }

@@ -20,7 +20,7 @@ pub(super) struct FfmpegLog {
     pub(super) codec: Option<String>,
     /// Transfer function of the frames, where that is one of high dynamic range.
     pub(super) transfer: Option<Transfer>,
-    /// Whether their primaries are those of BT.2020, as with HLG and PQ unless BT.709 is named.
+    /// True if their primaries are those of BT.2020, as with HLG and PQ unless BT.709 is named.
     pub(super) has_wide_primaries: bool,
     /// Whether the track that was asked for is not there.
     pub(super) lacks_track: bool,

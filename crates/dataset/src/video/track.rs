@@ -32,7 +32,7 @@ pub(super) struct Pictures {
     pub(super) track: Track,
     /// Width and height [px]; of depth as recorded.
     pub(super) size: (usize, usize),
-    /// Whether colour has 16 bits a channel.
+    /// True if colour has 16 bits a channel.
     pub(super) is_deep: bool,
 }
 

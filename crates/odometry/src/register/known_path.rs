@@ -39,9 +39,9 @@ impl KnownPath {
             return false;
         }
         if adjust_focal {
-            state.camera = self.camera;
             // That of the search goes with another focal length.
             state.update_distortion(state.distortion.map(|k| -k));
+            state.camera = self.camera;
         }
         let refined = adjusted(state.keyframes_only(), &self.keyframes, adjust_focal).1;
         let begins = has_parallax(&refined);
@@ -82,6 +82,7 @@ impl SfmState {
     /// Takes camera and poses of an adjusted state of the same keyframes into one without poses.
     fn start_from(&mut self, refined: SfmState) {
         self.camera = refined.camera;
+        // A state of keyframes alone counts it from that of this one on.
         self.update_distortion(refined.distortion);
         self.noise_scale = refined.noise_scale;
         self.poses = refined.poses;
