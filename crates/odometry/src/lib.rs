@@ -68,6 +68,7 @@ mod multiview {
     pub(crate) mod robust_loss;
     pub(crate) mod triangulation;
     pub(crate) mod two_view;
+    pub(crate) mod whitening;
 }
 
 mod features;

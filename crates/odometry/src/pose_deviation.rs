@@ -352,7 +352,8 @@ mod tests {
                 let here = path(o.frame).rotation.inverse().rotate(ray);
                 let (u, v) = fixtures::camera().project(here);
                 let n = noise(o.frame as u64 + 77 * at[0] as u64, 2);
-                *o = Observation::new(o.frame, [u, v], o.sigma()).moved_to([u + n[0], v + n[1]]);
+                *o = Observation::whitened(o.frame, [u, v], *o.whitening())
+                    .moved_to([u + n[0], v + n[1]]);
             }
             *landmark = None;
         }

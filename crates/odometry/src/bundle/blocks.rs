@@ -67,7 +67,8 @@ pub(super) struct GlobalBlock {
     pub(super) gradient: [f64; GLOBALS],
 }
 
-/// A weighted residual with its derivatives: the image position, and the inverse depth if measured. With
+/// A weighted residual with its derivatives: the image position in standard deviations, and the inverse depth
+/// if measured. With
 /// another curvature than the majorizing one it is scaled, so that gradients are right still.
 pub(super) struct WeightedResidual {
     pub(super) projection: Projection,
@@ -96,11 +97,14 @@ pub(super) fn weighted_residual(
     curvature: Curvature,
 ) -> Option<WeightedResidual> {
     let pose = &bundle.poses[observation.pose];
-    let projection = bundle.landmarks[landmark].project(&bundle.camera, pose)?;
+    let mut projection = bundle.landmarks[landmark].project(&bundle.camera, pose)?;
     let seen = observation.corrected(bundle.camera_change);
-    let mut residual = [projection.at[0] - seen[0], projection.at[1] - seen[1], 0.0];
-    let length = length([residual[0], residual[1]]) / observation.sigma;
-    let weight = huber(length).0 / (observation.sigma * observation.sigma);
+    let whitening = &observation.whitening;
+    let [x, y] = whitening.apply([projection.at[0] - seen[0], projection.at[1] - seen[1]]);
+    projection.whiten(whitening);
+    let mut residual = [x, y, 0.0];
+    let length = length([x, y]);
+    let weight = huber(length).0;
     let (mut weights, mut rows) = ([weight, weight, 0.0], 2);
     if let Some(depth) = &observation.depth {
         residual[2] = projection.inverse_depth - depth.inverse;
@@ -113,7 +117,7 @@ pub(super) fn weighted_residual(
         }
         rows = 3;
     }
-    let camera_jacobian = observation.camera_jacobian;
+    let camera_jacobian = observation.camera_jacobian.map(|by| whitening.apply(by));
     let mut out = WeightedResidual { projection, camera_jacobian, residual, weights, rows };
     if curvature != Curvature::Majorizing && length > 0.0 {
         out.scale_along_residual((curvature.along(length) / huber(length).0).sqrt());

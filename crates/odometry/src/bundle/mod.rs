@@ -4,11 +4,11 @@
 //! Minimises
 //!
 //! ```text
-//! Σ huber(‖projection - observation‖ / σ) + Σ huber(|1/z - measured 1/z| / σ_d)
+//! Σ huber(‖projection - observation‖_Σ) + Σ huber(|1/z - measured 1/z| / σ_d)
 //!     + Σ huber(‖measured⁻¹ · relative pose‖_Λ)
 //! ```
 //!
-//! over observations, measured depths and relative poses with information `Λ`, by
+//! over observations with covariance `Σ`, measured depths and relative poses with information `Λ`, by
 //! Levenberg-Marquardt; landmarks are eliminated by the Schur complement (Triggs et al. 2000,
 //! section 6).
 
@@ -29,6 +29,7 @@ pub(crate) use relative_pose::RelativePoseFactor;
 use crate::multiview::landmark::Landmark;
 use crate::multiview::lens_distortion::CameraJacobian;
 use crate::multiview::robust_loss::{huber, length};
+use crate::multiview::whitening::Whitening;
 use crate::progress::{Progress, Stage};
 use crate::track::tracks::DepthReading;
 use blocks::Curvature;
@@ -60,8 +61,8 @@ pub(crate) struct BundleObservation {
     pub(crate) pose: usize,
     /// Corrected image position [px].
     pub(crate) at: [f64; 2],
-    /// Its standard deviation [px].
-    pub(crate) sigma: f64,
+    /// Its deviation.
+    pub(crate) whitening: Whitening,
     /// Its derivatives by distortion or readout.
     pub(crate) camera_jacobian: CameraJacobian,
     /// The measured inverse depth, if there is one.
@@ -171,7 +172,8 @@ impl Bundle {
         let (pose, landmark) = (&self.poses[observation.pose], &self.landmarks[landmark]);
         let at = landmark.image_position(&self.camera, pose);
         let seen = observation.corrected(self.camera_change);
-        let length = |at: [f64; 2]| length([at[0] - seen[0], at[1] - seen[1]]) / observation.sigma;
+        let whitening = &observation.whitening;
+        let length = |at: [f64; 2]| length(whitening.apply([at[0] - seen[0], at[1] - seen[1]]));
         let of_position = huber(at.map_or(BEHIND_CAMERA_ERROR, length)).1;
         let Some(depth) = &observation.depth else { return of_position };
         let off = |z: f64| (z - depth.inverse).abs() / depth.sigma;

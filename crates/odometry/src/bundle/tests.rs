@@ -24,7 +24,9 @@ fn scene(spread: f64) -> (Bundle, Vec<Vec3<f64>>) {
         let e = &errors[(i * 6 + k) * 2..];
         let at = [u + spread * e[0], v + spread * e[1]];
         let camera_jacobian = distortion_jacobian(&camera, at);
-        BundleObservation { pose: k, at, sigma: 0.5, camera_jacobian, depth: None }
+        // A long ellipse, across the axes.
+        let whitening = Whitening::of_covariance([0.2, 0.12, 0.15]);
+        BundleObservation { pose: k, at, whitening, camera_jacobian, depth: None }
     };
     let observations: Vec<Vec<BundleObservation>> =
         (0..60).map(|i| (0..6).map(|k| observation(i, k)).collect()).collect();
@@ -185,7 +187,7 @@ fn round_trip(count: usize, each: usize, seen: usize, closed: bool) -> Bundle {
             Some(BundleObservation {
                 pose,
                 at,
-                sigma: 0.5,
+                whitening: Whitening::isotropic(0.5),
                 camera_jacobian: [[0.0; 2]; 2],
                 depth: None,
             })

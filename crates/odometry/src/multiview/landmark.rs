@@ -1,6 +1,7 @@
 //! Landmarks in inverse-depth parametrisation, and their projection.
 
 use crate::multiview::robust_loss::length;
+use crate::multiview::whitening::Whitening;
 use crate::track::tracks::Observation;
 use i2slam_geometry::{Camera, Mat3, Pose, Similarity, Vec3};
 
@@ -26,6 +27,19 @@ pub(crate) struct Projection {
     pub(crate) by_landmark: [[f64; 3]; 3],
     /// By the logarithm of the focal length.
     pub(crate) by_focal: [f64; 3],
+}
+
+impl Projection {
+    /// Derivatives of the position, in the standard deviations of an observation of it.
+    #[inline(always)]
+    pub(crate) fn whiten(&mut self, by: &Whitening) {
+        let [x, y, _] = &mut self.by_pose;
+        by.apply_to_rows(x, y);
+        let [x, y, _] = &mut self.by_landmark;
+        by.apply_to_rows(x, y);
+        let [x, y, _] = self.by_focal;
+        [self.by_focal[0], self.by_focal[1]] = by.apply([x, y]);
+    }
 }
 
 impl Landmark {
@@ -162,7 +176,7 @@ pub(crate) fn warp_between_views(
 /// Length of a match's reprojection error [standard deviations]; infinite behind the camera.
 pub(crate) fn reprojection_error(camera: &Camera<f64>, pose: &Pose<f64>, m: &Match<'_>) -> f64 {
     m.0.image_position(camera, pose).map_or(f64::INFINITY, |at| {
-        length([at[0] - m.1.at()[0], at[1] - m.1.at()[1]]) / m.1.sigma()
+        length(m.1.whitening().apply([at[0] - m.1.at()[0], at[1] - m.1.at()[1]]))
     })
 }
 

@@ -1,13 +1,20 @@
 //! Perspective-n-point: the pose of a picture from known landmarks.
+//!
+//! Deviations are those of the observations with [`MAP_SIGMA`] added: positions are often found to a twentieth
+//! of a pixel, landmarks of a map that is not finished project no better than that.
 
-use crate::multiview::landmark::{MAX_INLIER_ERROR, Match, reprojection_error};
+use crate::multiview::landmark::{MAX_INLIER_ERROR, Match};
 use crate::multiview::robust_loss::{cauchy, length};
+use crate::multiview::whitening::Whitening;
+use crate::track::tracks::Observation;
 use i2slam_compute::{NormalEquations, Random};
 use i2slam_geometry::{Camera, Pose, Tangent};
 
 /// Widths of the Cauchy loss in turn [standard deviations]: wide converges, narrow rejects.
 const LOSS_WIDTHS: [f64; 3] = [40.0, 12.0, 3.0];
 const MAX_STEPS: usize = 12;
+/// Standard deviation of a projection into a picture to be posed [px]: rows, lens and landmarks are not final.
+const MAP_SIGMA: f64 = 0.3;
 /// Hypotheses of RANSAC, and matches of each.
 const HYPOTHESES: usize = 300;
 const SAMPLE_SIZE: usize = 4;
@@ -43,10 +50,8 @@ pub(crate) fn solve_pnp(
     for width in LOSS_WIDTHS {
         pose = minimize(camera, pose, (matches, noise), |n| cauchy(n, noise * width));
     }
-    let inliers = matches
-        .iter()
-        .filter(|m| reprojection_error(camera, &pose, m) < MAX_INLIER_ERROR * noise)
-        .count();
+    let inliers =
+        matches.iter().filter(|m| error(camera, &pose, m) < MAX_INLIER_ERROR * noise).count();
     pose.is_finite().then_some(PnpSolution { world_from_camera: pose, inliers })
 }
 
@@ -85,7 +90,7 @@ pub(crate) fn pose_of_samples<'a>(
             (0..SAMPLE_SIZE).map(|_| matches[random.below(matches.len())]).collect();
         let pose = solve_pnp_minimal(camera, starts[hypothesis % starts.len()], &sample);
         hypothesis += 1;
-        let errors = matches.iter().map(|m| reprojection_error(camera, &pose, m));
+        let errors = matches.iter().map(|m| error(camera, &pose, m));
         let (cost, agreeing) = errors.fold((0.0, 0), |(cost, agreeing), error| {
             let is_agreeing = error < MAX_RANSAC_ERROR;
             (cost + error.min(MAX_RANSAC_ERROR).powi(2), agreeing + usize::from(is_agreeing))
@@ -98,7 +103,7 @@ pub(crate) fn pose_of_samples<'a>(
         }
     }
     let pose = best?.1;
-    let agrees = |m: &&Match<'_>| reprojection_error(camera, &pose, m) < MAX_RANSAC_ERROR;
+    let agrees = |m: &&Match<'_>| error(camera, &pose, m) < MAX_RANSAC_ERROR;
     Some((pose, matches.iter().filter(agrees).copied().collect()))
 }
 
@@ -127,6 +132,19 @@ pub(crate) fn refine_pnp(
     width: f64,
 ) -> Pose<f64> {
     minimize(camera, start, (matches, 1.0), |n| cauchy(n, width))
+}
+
+/// Deviation of an observation from the projection of its landmark.
+fn whitening(observation: &Observation) -> Whitening {
+    *observation.with_added_sigma(MAP_SIGMA).whitening()
+}
+
+/// Length of a match's reprojection error [standard deviations]; infinite behind the camera.
+fn error(camera: &Camera<f64>, pose: &Pose<f64>, (landmark, observation): &Match<'_>) -> f64 {
+    landmark.image_position(camera, pose).map_or(f64::INFINITY, |at| {
+        let off = [at[0] - observation.at()[0], at[1] - observation.at()[1]];
+        length(whitening(observation).apply(off))
+    })
 }
 
 /// Levenberg-Marquardt on the six parameters of a pose.
@@ -170,15 +188,17 @@ fn normal_equations(
     let mut sum = NormalEquations::default();
     let mut cost = 0.0;
     for (landmark, observation) in matches {
-        let Some(p) = landmark.project(camera, pose) else {
+        let Some(mut p) = landmark.project(camera, pose) else {
             cost += loss(100.0).1;
             continue;
         };
-        let r: [f64; 2] = std::array::from_fn(|i| p.at[i] - observation.at()[i]);
-        let (weight, of_position) = loss(length(r) / observation.sigma());
+        let whitening = whitening(observation);
+        let r = whitening.apply(std::array::from_fn(|i| p.at[i] - observation.at()[i]));
+        p.whiten(&whitening);
+        let (weight, of_position) = loss(length(r));
         cost += of_position;
         for i in 0..2 {
-            sum.add(&p.by_pose[i], r[i], weight / (observation.sigma() * observation.sigma()));
+            sum.add(&p.by_pose[i], r[i], weight);
         }
         if let Some(depth) = &observation.depth() {
             let (r, sigma) = (p.inverse_depth - depth.inverse, depth.sigma / noise);

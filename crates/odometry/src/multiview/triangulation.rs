@@ -121,12 +121,14 @@ fn normal_equations(
     let mut sum = NormalEquations::default();
     let mut cost = 0.0;
     for (observation, pose) in observations {
-        let p = landmark.project(camera, pose)?;
-        let r: [f64; 2] = std::array::from_fn(|i| p.at[i] - observation.at()[i]);
-        let (weight, loss) = huber(length(r) / observation.sigma());
+        let mut p = landmark.project(camera, pose)?;
+        let whitening = observation.whitening();
+        let r = whitening.apply(std::array::from_fn(|i| p.at[i] - observation.at()[i]));
+        p.whiten(whitening);
+        let (weight, loss) = huber(length(r));
         cost += loss;
         for i in 0..2 {
-            sum.add(&p.by_landmark[i], r[i], weight / (observation.sigma() * observation.sigma()));
+            sum.add(&p.by_landmark[i], r[i], weight);
         }
         if let Some(depth) = &observation.depth() {
             let r = p.inverse_depth - depth.inverse;

@@ -288,7 +288,7 @@ mod tests {
         let again = |frame: usize| {
             let at = |track: &usize| state.tracks.tracks[*track].observation_in(20).copied();
             let seen = known.iter().filter_map(|track| Some((*track, at(track)?)));
-            seen.map(|(track, o)| (track, Observation::new(frame, o.at(), o.sigma())))
+            seen.map(|(track, o)| (track, Observation::whitened(frame, o.at(), *o.whitening())))
                 .collect::<Vec<_>>()
         };
         let observations: Vec<_> = (70..160).flat_map(again).collect();

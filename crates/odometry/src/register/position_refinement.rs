@@ -7,9 +7,10 @@
 
 use crate::multiview::landmark::{Landmark, warp_between_views};
 use crate::multiview::lens_distortion::undistort;
+use crate::multiview::whitening::Whitening;
 use crate::sfm_state::SfmState;
 use crate::track::patch::{AffineWarp, PatchTemplate};
-use crate::track::point_search::{MIN_ANCHOR_CORRELATION, MIN_POSITION_SIGMA, position_sigma};
+use crate::track::point_search::{MIN_ANCHOR_CORRELATION, anchor_whitening, position_whitening};
 use crate::track::tracks::{Observation, Track};
 use i2slam_geometry::{Image, Pose, Vec3};
 use rayon::prelude::*;
@@ -75,14 +76,14 @@ fn refined_observations(
         let is_near = (x - centre[0]).hypot(y - centre[1]) < MAX_MOVE;
         (is_near && found.correlation > MIN_ANCHOR_CORRELATION).then(|| {
             let to = found.warp.centre.map(|v| f64::from(v) * scale);
-            placed(state, o, to, position_sigma(found.correlation) * scale)
+            placed(state, o, to, position_whitening(&found, *scale))
         })
     };
     let others = seen.iter().filter(|(o, _)| o.frame != anchor.frame);
     let mut out: Vec<Observation> = others.filter_map(aligned).collect();
     if !out.is_empty() {
         // The landmark is what this photograph shows at the place of its feature.
-        out.push(placed(state, anchor, anchor.raw(), MIN_POSITION_SIGMA * scale));
+        out.push(placed(state, anchor, anchor.raw(), anchor_whitening(&template, *scale)));
     }
     out
 }
@@ -102,8 +103,13 @@ fn most_central<'a, 'b>(
 }
 
 /// An observation at another position as the lens shows it.
-fn placed(state: &SfmState, observation: &Observation, raw: [f64; 2], sigma: f64) -> Observation {
-    let new = Observation::new(observation.frame, raw, sigma);
+fn placed(
+    state: &SfmState,
+    observation: &Observation,
+    raw: [f64; 2],
+    whitening: Whitening,
+) -> Observation {
+    let new = Observation::whitened(observation.frame, raw, whitening);
     new.moved_to(undistort(&state.camera, state.distortion, raw))
 }
 

@@ -120,7 +120,7 @@ fn bundle_of_frame(
 /// An observation of the first pose of a bundle.
 fn observation(state: &SfmState, o: &Observation) -> BundleObservation {
     let (depth, camera_jacobian) = (scaled_depth(state, o), [[0.0; 2]; 2]);
-    BundleObservation { pose: 0, at: o.at(), sigma: o.sigma(), camera_jacobian, depth }
+    BundleObservation { pose: 0, at: o.at(), whitening: *o.whitening(), camera_jacobian, depth }
 }
 
 /// The reading of an observation, its deviation as a ratio to those of positions as the tracker

@@ -9,7 +9,7 @@ use crate::multiview::pnp::{solve_pnp, solve_pnp_ransac};
 use crate::relocalize::descriptor::DescribedPoints;
 use crate::sfm_state::SfmState;
 use crate::track::patch::AffineWarp;
-use crate::track::point_search::{AnchorPatch, position_sigma};
+use crate::track::point_search::{AnchorPatch, position_whitening};
 use crate::track::pyramid::Pyramid;
 use crate::track::thumbnail::KeyframeImage;
 use crate::track::tracks::Observation;
@@ -185,8 +185,7 @@ impl<'a> KeyframeComparison<'a> {
         let moved = (found.warp.centre[0] - centre[0]).hypot(found.warp.centre[1] - centre[1]);
         let is_there = found.correlation > MIN_PATCH_CORRELATION && moved < MAX_SEARCH_DISTANCE;
         let at = found.warp.centre.map(|v| f64::from(v) * scale);
-        let sigma = position_sigma(found.correlation) * scale;
-        let observation = Observation::new(new.frame, at, sigma)
+        let observation = Observation::whitened(new.frame, at, position_whitening(&found, scale))
             .moved_to(std::array::from_fn(|i| at[i] - rows[i]));
         is_there.then_some((*track, observation))
     }

@@ -115,7 +115,8 @@ impl SfmState {
             // Deviations of positions are those of the tracker, which residuals exceed.
             let scaled = |d: DepthReading| DepthReading { sigma: d.sigma / self.noise_scale, ..d };
             let depth = o.depth().map(scaled);
-            Some(BundleObservation { pose, at: o.at(), sigma: o.sigma(), camera_jacobian, depth })
+            let (at, whitening) = (o.at(), *o.whitening());
+            Some(BundleObservation { pose, at, whitening, camera_jacobian, depth })
         };
         let observations =
             tracks.iter().map(|t| inliers(t).filter_map(observation).collect()).collect();

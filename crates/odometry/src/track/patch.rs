@@ -20,6 +20,8 @@ const MAX_ITERATIONS: usize = 15;
 const MIN_UPDATE: f32 = 0.01;
 /// Added to the squared length of the picture's patch, so that flat ones match nothing.
 const CONTRAST_FLOOR: f32 = 1e-4;
+/// Least share of the picture's variance that a patch counts as explaining.
+const MIN_EXPLAINED: f32 = 0.01;
 
 /// Affine warp of a patch into a picture: `x = centre + matrix · offset`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -73,6 +75,9 @@ pub(crate) struct PatchMatch {
     pub(crate) warp: AffineWarp,
     /// Correlation of patch and picture, at most 1.
     pub(crate) correlation: f32,
+    /// Covariance of the centre, `xx`, `xy`, `yy` [px²], if what the patch does not explain is noise that is
+    /// independent from pixel to pixel.
+    pub(crate) covariance: [f32; 3],
 }
 
 impl<const N: usize> PatchTemplate<N> {
@@ -138,7 +143,23 @@ impl<const N: usize> PatchTemplate<N> {
                 break;
             }
         }
-        Some(PatchMatch { warp, correlation })
+        Some(PatchMatch { warp, correlation, covariance: self.covariance(&warp, correlation) })
+    }
+
+    /// Covariance of a centre that was found with a correlation: `σ² W N⁻¹ Wᵀ`, with the block `N⁻¹` of the
+    /// translation, the matrix `W` of the warp, and `σ² = (1/ρ² - 1) ‖T‖² / (pixels - unknowns)`, which is the
+    /// variance of what least squares leave in units of the patch.
+    #[inline(always)]
+    pub(crate) fn covariance(&self, warp: &AffineWarp, correlation: f32) -> [f32; 3] {
+        let unexplained = (correlation * correlation).max(MIN_EXPLAINED).recip() - 1.0;
+        let variance = unexplained.max(0.0) * self.norm * self.norm / (AREA - N) as f32;
+        let [xx, xy, yy] =
+            [(2, 2), (2, 3), (3, 3)].map(|(row, column)| variance * self.inverse[row][column]);
+        let product = |a: [f32; 2], b: [f32; 2]| {
+            a[0] * (xx * b[0] + xy * b[1]) + a[1] * (xy * b[0] + yy * b[1])
+        };
+        let [x, y] = warp.matrix;
+        [product(x, x), product(x, y), product(y, y)]
     }
 
     #[inline(always)]
@@ -286,6 +307,33 @@ mod tests {
         assert!((found.warp.centre[0] - 31.7).abs() < 0.02, "{found:?}");
         assert!((found.warp.centre[1] - 22.8).abs() < 0.02, "{found:?}");
         assert!(found.correlation > 0.995);
+    }
+
+    /// Positions found through noise scatter as their covariance says, along edges more than across.
+    #[test]
+    fn the_covariance_is_that_of_positions_found_through_noise() {
+        let stripes = Image::from_fn(64, 48, 1, |_, column, row| {
+            let (x, y) = (column as f32, row as f32);
+            0.5 + 0.2 * (0.45 * (x + y)).sin() + 0.05 * (0.4 * (x - y)).sin()
+        });
+        let template = PatchTemplate::<8>::new(&stripes, [30.5, 24.5]).expect("textured");
+        let (mut scatter, mut claimed) = ([0.0_f64; 3], [0.0_f64; 3]);
+        for seed in 0..400 {
+            let mut noisy = stripes.clone();
+            let noise = i2slam_check::noise(seed, noisy.data.len());
+            noisy.data.iter_mut().zip(noise).for_each(|(v, n)| *v += 0.02 * n as f32);
+            let found = template.align(&noisy, AffineWarp::translation([30.5, 24.5]));
+            let PatchMatch { warp, covariance, .. } = found.expect("found");
+            let [x, y] = [warp.centre[0] - 30.5, warp.centre[1] - 24.5].map(f64::from);
+            [x * x, x * y, y * y].into_iter().enumerate().for_each(|(i, v)| scatter[i] += v);
+            (0..3).for_each(|i| claimed[i] += f64::from(covariance[i]));
+        }
+        // Along the stripes, and across.
+        for sign in [-1.0, 1.0] {
+            let [seen, said] = [scatter, claimed].map(|[xx, xy, yy]| xx + yy + sign * 2.0 * xy);
+            assert!((0.7..1.4).contains(&(seen / said)), "{sign}: {}", seen / said);
+        }
+        assert!(-claimed[1] > 0.5 * claimed[0], "{claimed:?}");
     }
 
     #[test]

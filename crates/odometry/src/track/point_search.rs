@@ -4,6 +4,7 @@
 //! which it began (its anchor), which does not drift, the sharper of both blurred like the other.
 //! Where the anchor does not match, the position from the last frame is kept without an observation.
 
+use crate::multiview::whitening::Whitening;
 use crate::track::motion_blur::EqualBlur;
 use crate::track::patch::{AffineWarp, PatchMatch, PatchTemplate};
 use crate::track::pyramid::Pyramid;
@@ -17,10 +18,14 @@ const MAX_ROUND_TRIP_ERROR: f32 = 1.2;
 /// Smallest correlation with the last frame, and with the anchor.
 const MIN_CORRELATION: f32 = 0.6;
 pub(crate) const MIN_ANCHOR_CORRELATION: f32 = 0.7;
-/// Standard deviation of a position at correlation 1 with the anchor, ...
-pub(crate) const MIN_POSITION_SIGMA: f64 = 0.4;
-/// ... and its growth per unit of missing correlation [px].
-const SIGMA_PER_CORRELATION: f64 = 1.5;
+/// Standard deviation of a position over that which its patch claims for independent noise of all pixels:
+/// interpolation between pixels averages up to half of the noise out of what is compared (1.5 in the mean over
+/// all places), and what else differs between two pictures is correlated from pixel to pixel.
+const SIGMA_PER_FORMAL: f64 = 2.0;
+/// Least standard deviation of a position [px].
+const MIN_POSITION_SIGMA: f64 = 0.05;
+/// Correlation that noise leaves between two pictures of a point, for positions that nothing was aligned with.
+const USUAL_CORRELATION: f32 = 0.98;
 /// Largest correction of the followed position by the anchor [px].
 const MAX_ANCHOR_CORRECTION: f32 = 3.0;
 /// Distance from the edge within which points are not searched [px].
@@ -56,21 +61,38 @@ pub(crate) struct TrackOutcome {
     pub(crate) warp: AffineWarp,
     /// Whether it was found, by its anchor or at least from the last frame.
     pub(crate) is_followed: bool,
-    /// Correlation with the anchor, where that matches: only then it is a measurement.
-    pub(crate) correlation: Option<f32>,
+    /// Match of the anchor: only with one it is a measurement.
+    pub(crate) anchored: Option<PatchMatch>,
 }
 
 impl TrackOutcome {
     /// The measurement, if there is one.
     pub(crate) fn observation(&self, frame: usize) -> Option<Observation> {
         let at = self.warp.centre.map(f64::from);
-        self.correlation.map(|correlation| Observation::new(frame, at, position_sigma(correlation)))
+        self.anchored.map(|found| Observation::whitened(frame, at, position_whitening(&found, 1.0)))
+    }
+
+    /// Correlation with the anchor, where that matches.
+    pub(crate) fn correlation(&self) -> Option<f32> {
+        self.anchored.map(|found| found.correlation)
     }
 }
 
-/// Standard deviation of a position, from the correlation with the anchor [px].
-pub(crate) fn position_sigma(correlation: f32) -> f64 {
-    MIN_POSITION_SIGMA + SIGMA_PER_CORRELATION * f64::from(1.0 - correlation)
+/// Deviation of a position that was found in a picture whose pixels have a width of `scale` [px].
+pub(crate) fn position_whitening(found: &PatchMatch, scale: f64) -> Whitening {
+    whitening(found.covariance, scale)
+}
+
+/// Deviation of the position of a patch in its own picture.
+pub(crate) fn anchor_whitening(template: &PatchTemplate<8>, scale: f64) -> Whitening {
+    let here = AffineWarp::translation([0.0; 2]);
+    whitening(template.covariance(&here, USUAL_CORRELATION), scale)
+}
+
+fn whitening(formal: [f32; 3], scale: f64) -> Whitening {
+    let [xx, xy, yy] = formal.map(|v| SIGMA_PER_FORMAL * SIGMA_PER_FORMAL * f64::from(v));
+    let least = MIN_POSITION_SIGMA * MIN_POSITION_SIGMA;
+    Whitening::of_covariance([xx + least, xy, yy + least].map(|v| v * scale * scale))
 }
 
 impl AnchorPatch {
@@ -82,6 +104,11 @@ impl AnchorPatch {
         };
         let templates: Option<Vec<_>> = levels.map(template).collect();
         templates.map(|templates| Self { templates, at })
+    }
+
+    /// Deviation of its position in its own picture.
+    pub(crate) fn whitening(&self) -> Whitening {
+        anchor_whitening(&self.templates[0], 1.0)
     }
 
     /// Aligns the anchor from `start` on, from level `from` down to the finest.
@@ -149,7 +176,7 @@ pub(crate) fn search_point(
         (None, Some(_)) if is_inside(next, start.centre) => (start, true),
         _ => (AffineWarp { centre: guess, ..warp }, false),
     };
-    TrackOutcome { warp, is_followed, correlation: anchored.map(|f| f.correlation) }
+    TrackOutcome { warp, is_followed, anchored }
 }
 
 fn distance(a: [f32; 2], b: [f32; 2]) -> f32 {

@@ -8,7 +8,7 @@ use crate::track::global_translation::estimate_global_translation;
 use crate::track::motion_blur::{EqualBlur, SHARES, ShutterShare};
 use crate::track::patch::{AffineWarp, RADIUS};
 use crate::track::point_search::{
-    AnchorPatch, FollowedPoint, MIN_POSITION_SIGMA, TrackOutcome, follow_point, search_point,
+    AnchorPatch, FollowedPoint, TrackOutcome, follow_point, search_point,
 };
 use crate::track::pyramid::Pyramid;
 use crate::track::thumbnail::KeyframeImage;
@@ -166,7 +166,7 @@ impl Tracker {
         let outcomes = self.search_points(&followed, next);
         for (point, outcome) in self.points.iter_mut().zip(&outcomes) {
             (point.is_followed, point.warp) = (outcome.is_followed, outcome.warp);
-            let Some(correlation) = outcome.correlation else {
+            let Some(correlation) = outcome.correlation() else {
                 point.hidden_frames += 1;
                 continue;
             };
@@ -233,7 +233,7 @@ impl Tracker {
             let equal = EqualBlur::new((&anchor.pyramid, anchor.blur), (next, blur));
             let search = |(p, followed): &(&TrackedPoint, &FollowedPoint)| {
                 let outcome = search_point(&p.anchor, p.warp, followed, next, &equal);
-                f64::from(outcome.correlation.unwrap_or(0.0))
+                f64::from(outcome.correlation().unwrap_or(0.0))
             };
             let found: Vec<f64> = points.par_iter().map(search).collect();
             found.iter().sum::<f64>() / points.len() as f64
@@ -335,7 +335,8 @@ impl Tracker {
         equal: &[EqualBlur],
     ) -> Option<(TrackedPoint, Track)> {
         let anchor = AnchorPatch::new(&next.pyramid, at)?;
-        let mut observations = vec![Observation::new(frame, at.map(f64::from), MIN_POSITION_SIGMA)];
+        let mut observations =
+            vec![Observation::whitened(frame, at.map(f64::from), anchor.whitening())];
         let (mut warp, mut here) = (AffineWarp::translation(at), next);
         for (i, (before, equal)) in self.recent.iter().rev().zip(equal).enumerate() {
             let pair = [here.pyramid.as_ref(), before.pyramid.as_ref()];

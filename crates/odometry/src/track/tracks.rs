@@ -1,5 +1,6 @@
 //! Tracks: observations of scene points over frames.
 
+use crate::multiview::whitening::Whitening;
 use crate::track::thumbnail::KeyframeImage;
 use std::sync::Arc;
 
@@ -11,7 +12,7 @@ pub(crate) struct Observation {
     pub(crate) frame: usize,
     raw: [f32; 2],
     correction: [f32; 2],
-    sigma: f32,
+    whitening: Whitening,
     /// Inverse depth and its deviation; zero where none was measured.
     depth: [f32; 2],
     /// Not explained by the point's landmark.
@@ -37,11 +38,15 @@ pub(crate) struct DepthReading {
 }
 
 impl Observation {
-    /// Position and its standard deviation [px].
+    /// Position and its standard deviation [px], in all directions.
     pub(crate) fn new(frame: usize, at: [f64; 2], sigma: f64) -> Self {
-        let (raw, sigma) = (at.map(|v| v as f32), sigma as f32);
-        let new =
-            Self { frame, raw, correction: [0.0; 2], sigma, depth: [0.0; 2], is_outlier: false };
+        Self::whitened(frame, at, Whitening::isotropic(sigma))
+    }
+
+    /// Position [px] and its deviation.
+    pub(crate) fn whitened(frame: usize, at: [f64; 2], whitening: Whitening) -> Self {
+        let (raw, correction, depth) = (at.map(|v| v as f32), [0.0; 2], [0.0; 2]);
+        let new = Self { frame, raw, correction, whitening, depth, is_outlier: false };
         new.moved_to(at)
     }
 
@@ -55,9 +60,14 @@ impl Observation {
         std::array::from_fn(|i| f64::from(self.raw[i]) + f64::from(self.correction[i]))
     }
 
-    /// Standard deviation [px].
+    /// Deviation of the position.
+    pub(crate) fn whitening(&self) -> &Whitening {
+        &self.whitening
+    }
+
+    /// Standard deviation [px] in the root mean square over all directions.
     pub(crate) fn sigma(&self) -> f64 {
-        f64::from(self.sigma)
+        self.whitening.sigma()
     }
 
     /// Inverse depth measured by a sensor.
@@ -72,9 +82,16 @@ impl Observation {
         Self { correction: std::array::from_fn(|i| (at[i] - raw[i]) as f32), ..self }
     }
 
-    /// The observation with another standard deviation [px].
+    /// The observation with another standard deviation [px], in all directions.
     pub(crate) fn with_sigma(self, sigma: f64) -> Self {
-        Self { sigma: sigma as f32, ..self }
+        Self { whitening: Whitening::isotropic(sigma), ..self }
+    }
+
+    /// The observation with a further error of a standard deviation [px], in all directions.
+    pub(crate) fn with_added_sigma(self, sigma: f64) -> Self {
+        let [xx, xy, yy] = self.whitening.covariance();
+        let covariance = [xx + sigma * sigma, xy, yy + sigma * sigma];
+        Self { whitening: Whitening::of_covariance(covariance), ..self }
     }
 
     /// The observation with a measured depth, or without.
@@ -164,7 +181,7 @@ impl Tracks {
     /// Leaves the tracks as they were measured.
     pub(crate) fn drop_estimates(&mut self) {
         for o in self.tracks.iter_mut().flat_map(|track| &mut track.observations) {
-            *o = Observation::new(o.frame, o.raw(), o.sigma());
+            *o = Observation::whitened(o.frame, o.raw(), o.whitening);
         }
     }
 

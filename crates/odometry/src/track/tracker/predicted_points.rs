@@ -62,7 +62,7 @@ impl Tracker {
             let predicted = FollowedPoint::not_followed(point.warp.centre);
             let outcome = search_point(&anchor, point.warp, &predicted, &last.pyramid, equal);
             let found = outcome.observation(self.frames - 1)?;
-            let observation = found.with_sigma(found.sigma().hypot(*smear_sigma));
+            let observation = found.with_added_sigma(*smear_sigma);
             let [x, y] = [0, 1].map(|i| outcome.warp.centre[i] - point.warp.centre[i]);
             (x.hypot(y) < most).then_some(FoundPoint { point: *point, outcome, observation })
         };
@@ -87,7 +87,7 @@ impl Tracker {
             let FoundPoint { point, outcome, .. } = found;
             let at = point.at_keyframe;
             let began = TrackedPoint::new(point.track, at, self.anchor(point)?, point.keyframe);
-            let correlation = outcome.correlation?;
+            let correlation = outcome.correlation()?;
             let at_keyframe = (point.keyframe == self.last_keyframe).then_some(at);
             Some(TrackedPoint { warp: outcome.warp, correlation, at_keyframe, ..began })
         };

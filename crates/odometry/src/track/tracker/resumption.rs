@@ -56,7 +56,7 @@ mod tests {
         let frame = tracker.frames - 1;
         let seen = |track: usize| {
             let o = first[track].observations[0];
-            (track, Observation::new(frame, o.raw(), o.sigma()))
+            (track, Observation::whitened(frame, o.raw(), *o.whitening()))
         };
         let found: Vec<(usize, Observation)> = (0..first.len()).map(seen).collect();
         tracker.resume(&found);

@@ -1,0 +1,74 @@
+//! Deviations of image positions: residuals in multiples of them, in every direction.
+
+/// Lower triangular `W` with `Wᵀ W = Σ⁻¹`, for the covariance `Σ` of an image position [px²]: `W r` has unit
+/// covariance where the residual `r` has `Σ`. Observations hold it in single precision.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Whitening {
+    /// `xx`, `yx`, `yy`.
+    factor: [f32; 3],
+}
+
+impl Whitening {
+    /// The same standard deviation [px] in all directions.
+    pub(crate) fn isotropic(sigma: f64) -> Self {
+        let inverse = sigma.recip() as f32;
+        Self { factor: [inverse, 0.0, inverse] }
+    }
+
+    /// Of a positive definite covariance, `xx`, `xy`, `yy` [px²].
+    pub(crate) fn of_covariance([xx, xy, yy]: [f64; 3]) -> Self {
+        let x = xx.sqrt();
+        let y = (yy - xy * xy / xx).sqrt();
+        Self { factor: [x.recip(), -xy / (xx * y), y.recip()].map(|v| v as f32) }
+    }
+
+    /// The covariance `Σ`: `xx`, `xy`, `yy` [px²].
+    pub(crate) fn covariance(&self) -> [f64; 3] {
+        let [x, yx, y] = self.factor.map(f64::from);
+        let (a, c) = (x.recip(), y.recip());
+        let b = -yx * a * c;
+        [a * a, a * b, b * b + c * c]
+    }
+
+    /// Standard deviation [px] in the root mean square over all directions.
+    pub(crate) fn sigma(&self) -> f64 {
+        let [xx, _, yy] = self.covariance();
+        (0.5 * (xx + yy)).sqrt()
+    }
+
+    /// A residual in standard deviations.
+    #[inline(always)]
+    pub(crate) fn apply(&self, [x, y]: [f64; 2]) -> [f64; 2] {
+        let [xx, yx, yy] = self.factor.map(f64::from);
+        [xx * x, yx * x + yy * y]
+    }
+
+    /// Derivatives of a residual, those of `x` and of `y`, in standard deviations.
+    #[inline(always)]
+    pub(crate) fn apply_to_rows<const N: usize>(&self, x: &mut [f64; N], y: &mut [f64; N]) {
+        for (x, y) in x.iter_mut().zip(y) {
+            [*x, *y] = self.apply([*x, *y]);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn squared_lengths_are_those_of_the_inverse_covariance() {
+        let [xx, xy, yy] = [0.3, -0.11, 0.09];
+        let determinant = xx * yy - xy * xy;
+        let whitening = Whitening::of_covariance([xx, xy, yy]);
+        for [x, y] in [[1.0, 0.0], [0.0, 1.0], [0.7, -0.4]] {
+            let expected = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / determinant;
+            let [a, b] = whitening.apply([x, y]);
+            assert!((a * a + b * b - expected).abs() < 1e-5 * expected, "{x} {y}");
+        }
+        let again = whitening.covariance();
+        [xx, xy, yy].iter().zip(again).for_each(|(a, b)| assert!((a - b).abs() < 1e-6));
+        assert!((whitening.sigma() - (0.5 * (xx + yy)).sqrt()).abs() < 1e-6);
+        assert_eq!(Whitening::isotropic(0.5).apply([1.0, -2.0]), [2.0, -4.0]);
+    }
+}
