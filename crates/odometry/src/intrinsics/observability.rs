@@ -11,6 +11,9 @@ const DISTORTION_SIGNIFICANCE: f64 = 9.21;
 /// camera moving along a line, with focal lengths off by 5 and by 50 percent.
 const MAX_FOCAL_DEVIATION: f64 = 0.005;
 const MAX_DEVIATION_RATIO: f64 = 1.5;
+/// Most adjustments with free intrinsics, and the relative change of the focal length at which they end.
+const MAX_ROUNDS: usize = 5;
+const CONVERGED_CHANGE: f64 = 1e-3;
 
 /// Adjusts the first [`MAX_JOINT_POSES`] keyframes with free intrinsics; also their covariance.
 pub(crate) fn reestimate_intrinsics(
@@ -22,7 +25,14 @@ pub(crate) fn reestimate_intrinsics(
     let mut poses = vec![None; state.poses.len()];
     keyframes.iter().for_each(|f| poses[*f] = state.poses[*f]);
     (state.poses, state.progress) = (poses, state.progress.without_listener());
-    adjust_globally(&mut state, true);
+    // From the map of a wrong camera few observations agree at first.
+    for _ in 0..MAX_ROUNDS {
+        let before = state.camera.fx;
+        adjust_globally(&mut state, true);
+        if (state.camera.fx / before).ln().abs() < CONVERGED_CHANGE {
+            break;
+        }
+    }
     let covariance = state.bundle(&keyframes, true).0.camera_covariance();
     (state, covariance)
 }

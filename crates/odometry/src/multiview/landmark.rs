@@ -152,6 +152,20 @@ pub(crate) type Match<'a> = (&'a Landmark, &'a Observation);
 /// Reprojection error up to which a match is an inlier [standard deviations].
 pub(crate) const MAX_INLIER_ERROR: f64 = 5.0;
 
+/// Standard deviation of where a map that is not finished shows a point [px]: rows, lens, and the landmarks
+/// themselves are not final, though positions are often found to a twentieth of a pixel.
+pub(crate) const MAP_SIGMA: f64 = 0.4;
+
+/// Deviation of an observation from what a map that is not finished shows.
+pub(crate) fn approximate_whitening(observation: &Observation) -> Whitening {
+    observation.whitening().plus(&Whitening::isotropic(MAP_SIGMA))
+}
+
+/// [`reprojection_error`] by a map that is not finished, [`MAP_SIGMA`] added to deviations.
+pub(crate) fn approximate_error(camera: &Camera<f64>, pose: &Pose<f64>, m: &Match<'_>) -> f64 {
+    whitened_error(camera, pose, m, &approximate_whitening(m.1))
+}
+
 /// Affine warp of the surroundings of a landmark, taken to face one camera, into another one.
 pub(crate) fn warp_between_views(
     camera: &Camera<f64>,
@@ -175,8 +189,17 @@ pub(crate) fn warp_between_views(
 
 /// Length of a match's reprojection error [standard deviations]; infinite behind the camera.
 pub(crate) fn reprojection_error(camera: &Camera<f64>, pose: &Pose<f64>, m: &Match<'_>) -> f64 {
+    whitened_error(camera, pose, m, m.1.whitening())
+}
+
+fn whitened_error(
+    camera: &Camera<f64>,
+    pose: &Pose<f64>,
+    m: &Match<'_>,
+    whitening: &Whitening,
+) -> f64 {
     m.0.image_position(camera, pose).map_or(f64::INFINITY, |at| {
-        length(m.1.whitening().apply([at[0] - m.1.at()[0], at[1] - m.1.at()[1]]))
+        length(whitening.apply([at[0] - m.1.at()[0], at[1] - m.1.at()[1]]))
     })
 }
 

@@ -1,20 +1,15 @@
 //! Perspective-n-point: the pose of a picture from known landmarks.
-//!
-//! Deviations are those of the observations with [`MAP_SIGMA`] added: positions are often found to a twentieth
-//! of a pixel, landmarks of a map that is not finished project no better than that.
 
-use crate::multiview::landmark::{MAX_INLIER_ERROR, Match};
+use crate::multiview::landmark::{
+    MAX_INLIER_ERROR, Match, approximate_error, approximate_whitening,
+};
 use crate::multiview::robust_loss::{cauchy, length};
-use crate::multiview::whitening::Whitening;
-use crate::track::tracks::Observation;
 use i2slam_compute::{NormalEquations, Random};
 use i2slam_geometry::{Camera, Pose, Tangent};
 
 /// Widths of the Cauchy loss in turn [standard deviations]: wide converges, narrow rejects.
 const LOSS_WIDTHS: [f64; 3] = [40.0, 12.0, 3.0];
 const MAX_STEPS: usize = 12;
-/// Standard deviation of a projection into a picture to be posed [px]: rows, lens and landmarks are not final.
-const MAP_SIGMA: f64 = 0.3;
 /// Hypotheses of RANSAC, and matches of each.
 const HYPOTHESES: usize = 300;
 const SAMPLE_SIZE: usize = 4;
@@ -50,8 +45,10 @@ pub(crate) fn solve_pnp(
     for width in LOSS_WIDTHS {
         pose = minimize(camera, pose, (matches, noise), |n| cauchy(n, noise * width));
     }
-    let inliers =
-        matches.iter().filter(|m| error(camera, &pose, m) < MAX_INLIER_ERROR * noise).count();
+    let inliers = matches
+        .iter()
+        .filter(|m| approximate_error(camera, &pose, m) < MAX_INLIER_ERROR * noise)
+        .count();
     pose.is_finite().then_some(PnpSolution { world_from_camera: pose, inliers })
 }
 
@@ -90,7 +87,7 @@ pub(crate) fn pose_of_samples<'a>(
             (0..SAMPLE_SIZE).map(|_| matches[random.below(matches.len())]).collect();
         let pose = solve_pnp_minimal(camera, starts[hypothesis % starts.len()], &sample);
         hypothesis += 1;
-        let errors = matches.iter().map(|m| error(camera, &pose, m));
+        let errors = matches.iter().map(|m| approximate_error(camera, &pose, m));
         let (cost, agreeing) = errors.fold((0.0, 0), |(cost, agreeing), error| {
             let is_agreeing = error < MAX_RANSAC_ERROR;
             (cost + error.min(MAX_RANSAC_ERROR).powi(2), agreeing + usize::from(is_agreeing))
@@ -103,7 +100,7 @@ pub(crate) fn pose_of_samples<'a>(
         }
     }
     let pose = best?.1;
-    let agrees = |m: &&Match<'_>| error(camera, &pose, m) < MAX_RANSAC_ERROR;
+    let agrees = |m: &&Match<'_>| approximate_error(camera, &pose, m) < MAX_RANSAC_ERROR;
     Some((pose, matches.iter().filter(agrees).copied().collect()))
 }
 
@@ -132,19 +129,6 @@ pub(crate) fn refine_pnp(
     width: f64,
 ) -> Pose<f64> {
     minimize(camera, start, (matches, 1.0), |n| cauchy(n, width))
-}
-
-/// Deviation of an observation from the projection of its landmark.
-fn whitening(observation: &Observation) -> Whitening {
-    *observation.with_added_sigma(MAP_SIGMA).whitening()
-}
-
-/// Length of a match's reprojection error [standard deviations]; infinite behind the camera.
-fn error(camera: &Camera<f64>, pose: &Pose<f64>, (landmark, observation): &Match<'_>) -> f64 {
-    landmark.image_position(camera, pose).map_or(f64::INFINITY, |at| {
-        let off = [at[0] - observation.at()[0], at[1] - observation.at()[1]];
-        length(whitening(observation).apply(off))
-    })
 }
 
 /// Levenberg-Marquardt on the six parameters of a pose.
@@ -192,7 +176,7 @@ fn normal_equations(
             cost += loss(100.0).1;
             continue;
         };
-        let whitening = whitening(observation);
+        let whitening = approximate_whitening(observation);
         let r = whitening.apply(std::array::from_fn(|i| p.at[i] - observation.at()[i]));
         p.whiten(&whitening);
         let (weight, of_position) = loss(length(r));

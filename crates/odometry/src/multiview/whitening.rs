@@ -30,6 +30,12 @@ impl Whitening {
         [a * a, a * b, b * b + c * c]
     }
 
+    /// The deviation of a sum of two independent errors.
+    pub(crate) fn plus(&self, other: &Self) -> Self {
+        let (a, b) = (self.covariance(), other.covariance());
+        Self::of_covariance(std::array::from_fn(|i| a[i] + b[i]))
+    }
+
     /// Standard deviation [px] in the root mean square over all directions.
     pub(crate) fn sigma(&self) -> f64 {
         let [xx, _, yy] = self.covariance();
@@ -69,6 +75,9 @@ mod tests {
         let again = whitening.covariance();
         [xx, xy, yy].iter().zip(again).for_each(|(a, b)| assert!((a - b).abs() < 1e-6));
         assert!((whitening.sigma() - (0.5 * (xx + yy)).sqrt()).abs() < 1e-6);
+        let sum = whitening.plus(&Whitening::isotropic(0.2)).covariance();
+        let expected = [xx + 0.04, xy, yy + 0.04];
+        expected.iter().zip(sum).for_each(|(a, b)| assert!((a - b).abs() < 1e-6));
         assert_eq!(Whitening::isotropic(0.5).apply([1.0, -2.0]), [2.0, -4.0]);
     }
 }

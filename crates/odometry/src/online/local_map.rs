@@ -2,7 +2,7 @@
 //! points were lost is registered by them (ORB-SLAM's local map).
 
 use crate::multiview::landmark::{
-    Landmark, MAX_INLIER_ERROR, Match, reprojection_error, warp_between_views,
+    Landmark, MAX_INLIER_ERROR, Match, approximate_error, warp_between_views,
 };
 use crate::multiview::pnp::{pose_of_samples, solve_pnp};
 use crate::register::registration::initial_poses;
@@ -114,7 +114,14 @@ impl LocalMap<'_> {
                 }
                 let at_keyframe = o.raw().map(|v| v as f32);
                 let warp = self.predicted_warp((track, keyframe), pose, motion);
-                let point = warp.map(|warp| PredictedPoint { track, keyframe, at_keyframe, warp });
+                let error_at_keyframe = *o.whitening();
+                let point = warp.map(|warp| PredictedPoint {
+                    track,
+                    keyframe,
+                    at_keyframe,
+                    error_at_keyframe,
+                    warp,
+                });
                 points.extend(point.map(|point| (track, point)));
             }
         }
@@ -175,7 +182,7 @@ impl LocalMap<'_> {
 
     /// True if the reprojection error of a landmark that was found is that of an inlier.
     fn agrees(&self, found: &FoundPoint, pose: &Pose<f64>) -> bool {
-        let error = |m: Match<'_>| reprojection_error(&self.state.camera, pose, &m);
+        let error = |m: Match<'_>| approximate_error(&self.state.camera, pose, &m);
         let matched = self.state.landmarks[found.point.track].as_ref();
         let error = matched.map(|landmark| error((landmark, &found.observation)));
         error.is_some_and(|error| error < MAX_INLIER_ERROR * self.state.noise_scale)

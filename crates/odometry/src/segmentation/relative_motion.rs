@@ -4,7 +4,7 @@
 //! those of reprojection; elsewhere it is an essential matrix, and errors are distances from
 //! epipolar lines, in which a motion along those lines does not show.
 
-use crate::multiview::landmark::{Landmark, MAX_INLIER_ERROR, Match, reprojection_error};
+use crate::multiview::landmark::{Landmark, MAP_SIGMA, MAX_INLIER_ERROR, Match, approximate_error};
 use crate::multiview::pnp::{refine_pnp, solve_pnp_minimal};
 use crate::multiview::robust_loss::cauchy;
 use crate::multiview::two_view::{
@@ -23,7 +23,7 @@ const MIN_SHARED: usize = 24;
 /// Share of the area of shared points in which some must have depth, for a rigid motion: an object
 /// over a fifth of the picture stays well below half of it.
 const MIN_MEASURED_AREA: f64 = 0.75;
-/// Least deviation of errors, as a ratio of that which the tracker claims: points that slide along an
+/// Least deviation of errors, as a ratio of the claimed one: points that slide along an
 /// edge err by more, and together. Distances from epipolar lines show a part of the motion alone.
 const MIN_RIGID_DEVIATION: f64 = 2.0;
 const MIN_EPIPOLAR_DEVIATION: f64 = 0.7;
@@ -69,7 +69,7 @@ pub(crate) fn deviating_points(
     out
 }
 
-/// Errors of points under a motion [deviations of the tracker], and their deviation by the median.
+/// Errors of points under a motion [deviations, with [`MAP_SIGMA`]], and their deviation by the median.
 type Errors = (Vec<f64>, f64);
 
 /// Reprojection errors under the rigid motion of most of the picture, of points with depth in the
@@ -82,7 +82,7 @@ fn rigid_errors(camera: &Camera<f64>, shared: &[SharedPoint<'_>]) -> Option<Erro
     let matches: Vec<Match<'_>> =
         landmarks.iter().zip(shared).map(|(landmark, (_, second))| (landmark, *second)).collect();
     let errors = |pose: &Pose<f64>| -> Vec<f64> {
-        matches.iter().map(|m| reprojection_error(camera, pose, m)).collect()
+        matches.iter().map(|m| approximate_error(camera, pose, m)).collect()
     };
     let fit = |sample: &[usize]| {
         let some: Vec<Match<'_>> = sample.iter().map(|i| matches[*i]).collect();
@@ -106,7 +106,8 @@ fn epipolar_errors(camera: &Camera<f64>, shared: &[SharedPoint<'_>]) -> Option<E
         shared.iter().map(|(first, second)| (first.at(), second.at())).collect();
     let rays = ray_pairs(camera, &positions);
     let (rotation, _) = fit_rotation(camera.fx, &rays)?;
-    let sigmas: Vec<f64> = shared.iter().map(|(a, b)| a.sigma().max(b.sigma())).collect();
+    let sigmas: Vec<f64> =
+        shared.iter().map(|(a, b)| a.sigma().max(b.sigma()).hypot(MAP_SIGMA)).collect();
     let errors = |pose: &Pose<f64>| -> Vec<f64> {
         let error = |(pair, sigma): (&RayPair, &f64)| sampson(pose, pair).abs() * camera.fx / sigma;
         rays.iter().zip(&sigmas).map(error).collect()

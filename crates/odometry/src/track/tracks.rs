@@ -87,11 +87,9 @@ impl Observation {
         Self { whitening: Whitening::isotropic(sigma), ..self }
     }
 
-    /// The observation with a further error of a standard deviation [px], in all directions.
-    pub(crate) fn with_added_sigma(self, sigma: f64) -> Self {
-        let [xx, xy, yy] = self.whitening.covariance();
-        let covariance = [xx + sigma * sigma, xy, yy + sigma * sigma];
-        Self { whitening: Whitening::of_covariance(covariance), ..self }
+    /// The observation with a further, independent error.
+    pub(crate) fn with_added_error(self, of: &Whitening) -> Self {
+        Self { whitening: self.whitening.plus(of), ..self }
     }
 
     /// The observation with a measured depth, or without.

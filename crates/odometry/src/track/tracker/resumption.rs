@@ -22,7 +22,8 @@ impl Tracker {
             else {
                 continue;
             };
-            resumed.push(TrackedPoint::new(*track, at, anchor, frame));
+            let point = TrackedPoint::new(*track, at, anchor, frame);
+            resumed.push(point.with_measured_anchor(o.whitening()));
         }
         self.points.retain(|p| {
             let is_replaced =
