@@ -8,9 +8,9 @@
 //!     + Σ huber(‖measured⁻¹ · relative pose‖_Λ)
 //! ```
 //!
-//! over observations with covariance `Σ`, measured depths and relative poses with information `Λ`, by
-//! Levenberg-Marquardt; landmarks are eliminated by the Schur complement (Triggs et al. 2000,
-//! section 6).
+//! over observations with covariance `Σ` (`‖r‖_Σ² = rᵀ Σ⁻¹ r`), measured depths and relative poses
+//! with information `Λ`, by Levenberg-Marquardt; landmarks are eliminated by the Schur complement
+//! (Triggs et al. 2000, section 6).
 
 mod blocks;
 mod covariance;
@@ -41,8 +41,9 @@ use std::sync::Arc;
 
 /// Landmarks per task.
 const LANDMARKS_PER_TASK: usize = 128;
-/// Residual of a landmark behind a camera [standard deviations].
-const BEHIND_CAMERA_ERROR: f64 = 50.0;
+/// Residual of a landmark behind a camera [standard deviations]: farther than any before it, whose deviation
+/// may be a twentieth of a pixel.
+const BEHIND_CAMERA_ERROR: f64 = 1e4;
 /// Damping at which the iteration gives up.
 const MAX_DAMPING: f64 = 1e6;
 /// Poses from which on progress is reported: smaller bundles take milliseconds.

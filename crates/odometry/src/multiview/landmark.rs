@@ -156,14 +156,19 @@ pub(crate) const MAX_INLIER_ERROR: f64 = 5.0;
 /// themselves are not final, though positions are often found to a twentieth of a pixel.
 pub(crate) const MAP_SIGMA: f64 = 0.4;
 
-/// Deviation of an observation from what a map that is not finished shows.
-pub(crate) fn approximate_whitening(observation: &Observation) -> Whitening {
-    observation.whitening().plus(&Whitening::isotropic(MAP_SIGMA))
+/// Deviation of an observation, `noise` times the claimed one, from what a map that is not finished shows.
+pub(crate) fn registration_whitening(observation: &Observation, noise: f64) -> Whitening {
+    observation.whitening().scaled(noise).plus(&Whitening::isotropic(MAP_SIGMA))
 }
 
-/// [`reprojection_error`] by a map that is not finished, [`MAP_SIGMA`] added to deviations.
-pub(crate) fn approximate_error(camera: &Camera<f64>, pose: &Pose<f64>, m: &Match<'_>) -> f64 {
-    whitened_error(camera, pose, m, &approximate_whitening(m.1))
+/// [`reprojection_error`] by a map that is not finished: of [`registration_whitening`].
+pub(crate) fn registration_error(
+    camera: &Camera<f64>,
+    pose: &Pose<f64>,
+    m: &Match<'_>,
+    noise: f64,
+) -> f64 {
+    whitened_error(camera, pose, m, &registration_whitening(m.1, noise))
 }
 
 /// Affine warp of the surroundings of a landmark, taken to face one camera, into another one.

@@ -1,7 +1,7 @@
 //! Perspective-n-point: the pose of a picture from known landmarks.
 
 use crate::multiview::landmark::{
-    MAX_INLIER_ERROR, Match, approximate_error, approximate_whitening,
+    MAX_INLIER_ERROR, Match, registration_error, registration_whitening,
 };
 use crate::multiview::robust_loss::{cauchy, length};
 use i2slam_compute::{NormalEquations, Random};
@@ -43,11 +43,11 @@ pub(crate) fn solve_pnp(
     }
     let mut pose = start;
     for width in LOSS_WIDTHS {
-        pose = minimize(camera, pose, (matches, noise), |n| cauchy(n, noise * width));
+        pose = minimize(camera, pose, (matches, noise), |n| cauchy(n, width));
     }
     let inliers = matches
         .iter()
-        .filter(|m| approximate_error(camera, &pose, m) < MAX_INLIER_ERROR * noise)
+        .filter(|m| registration_error(camera, &pose, m, noise) < MAX_INLIER_ERROR)
         .count();
     pose.is_finite().then_some(PnpSolution { world_from_camera: pose, inliers })
 }
@@ -87,7 +87,7 @@ pub(crate) fn pose_of_samples<'a>(
             (0..SAMPLE_SIZE).map(|_| matches[random.below(matches.len())]).collect();
         let pose = solve_pnp_minimal(camera, starts[hypothesis % starts.len()], &sample);
         hypothesis += 1;
-        let errors = matches.iter().map(|m| approximate_error(camera, &pose, m));
+        let errors = matches.iter().map(|m| registration_error(camera, &pose, m, 1.0));
         let (cost, agreeing) = errors.fold((0.0, 0), |(cost, agreeing), error| {
             let is_agreeing = error < MAX_RANSAC_ERROR;
             (cost + error.min(MAX_RANSAC_ERROR).powi(2), agreeing + usize::from(is_agreeing))
@@ -100,7 +100,7 @@ pub(crate) fn pose_of_samples<'a>(
         }
     }
     let pose = best?.1;
-    let agrees = |m: &&Match<'_>| approximate_error(camera, &pose, m) < MAX_RANSAC_ERROR;
+    let agrees = |m: &&Match<'_>| registration_error(camera, &pose, m, 1.0) < MAX_RANSAC_ERROR;
     Some((pose, matches.iter().filter(agrees).copied().collect()))
 }
 
@@ -161,8 +161,7 @@ fn minimize(
 }
 
 /// Sums over positions and measured depths of all matches with the loss as cost, that of 100
-/// deviations behind the camera. Positions are `noise` times as far off as their deviations say,
-/// depths as far as theirs.
+/// deviations behind the camera.
 fn normal_equations(
     camera: &Camera<f64>,
     pose: &Pose<f64>,
@@ -176,7 +175,7 @@ fn normal_equations(
             cost += loss(100.0).1;
             continue;
         };
-        let whitening = approximate_whitening(observation);
+        let whitening = registration_whitening(observation, noise);
         let r = whitening.apply(std::array::from_fn(|i| p.at[i] - observation.at()[i]));
         p.whiten(&whitening);
         let (weight, of_position) = loss(length(r));
@@ -185,10 +184,10 @@ fn normal_equations(
             sum.add(&p.by_pose[i], r[i], weight);
         }
         if let Some(depth) = &observation.depth() {
-            let (r, sigma) = (p.inverse_depth - depth.inverse, depth.sigma / noise);
-            let (weight, of_depth) = loss(r.abs() / sigma);
+            let r = p.inverse_depth - depth.inverse;
+            let (weight, of_depth) = loss(r.abs() / depth.sigma);
             cost += of_depth;
-            sum.add(&p.by_pose[2], r, weight / (sigma * sigma));
+            sum.add(&p.by_pose[2], r, weight / (depth.sigma * depth.sigma));
         }
     }
     sum.cost = cost;

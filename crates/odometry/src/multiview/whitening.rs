@@ -1,5 +1,8 @@
 //! Deviations of image positions: residuals in multiples of them, in every direction.
 
+/// Least variance along an axis [px²].
+const MIN_VARIANCE: f64 = 1e-6;
+
 /// Lower triangular `W` with `Wᵀ W = Σ⁻¹`, for the covariance `Σ` of an image position [px²]: `W r` has unit
 /// covariance where the residual `r` has `Σ`. Observations hold it in single precision.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -15,11 +18,12 @@ impl Whitening {
         Self { factor: [inverse, 0.0, inverse] }
     }
 
-    /// Of a positive definite covariance, `xx`, `xy`, `yy` [px²].
+    /// Of a covariance, `xx`, `xy`, `yy` [px²].
     pub(crate) fn of_covariance([xx, xy, yy]: [f64; 3]) -> Self {
-        let x = xx.sqrt();
-        let y = (yy - xy * xy / xx).sqrt();
-        Self { factor: [x.recip(), -xy / (xx * y), y.recip()].map(|v| v as f32) }
+        let x = xx.max(MIN_VARIANCE).sqrt();
+        // Rounding may leave less than nothing of a long ellipse.
+        let y = (yy - (xy / x) * (xy / x)).max(MIN_VARIANCE).sqrt();
+        Self { factor: [x.recip(), -xy / (x * x * y), y.recip()].map(|v| v as f32) }
     }
 
     /// The covariance `Σ`: `xx`, `xy`, `yy` [px²].
@@ -28,6 +32,21 @@ impl Whitening {
         let (a, c) = (x.recip(), y.recip());
         let b = -yx * a * c;
         [a * a, a * b, b * b + c * c]
+    }
+
+    /// The deviation of an error `by` times as large.
+    pub(crate) fn scaled(&self, by: f64) -> Self {
+        Self { factor: self.factor.map(|v| v / by as f32) }
+    }
+
+    /// The deviation of an error after a linear map.
+    pub(crate) fn mapped(&self, [x, y]: [[f32; 2]; 2]) -> Self {
+        let [xx, xy, yy] = self.covariance();
+        let [x, y] = [x, y].map(|row| row.map(f64::from));
+        let product = |a: [f64; 2], b: [f64; 2]| {
+            a[0] * (xx * b[0] + xy * b[1]) + a[1] * (xy * b[0] + yy * b[1])
+        };
+        Self::of_covariance([product(x, x), product(x, y), product(y, y)])
     }
 
     /// The deviation of a sum of two independent errors.
@@ -75,6 +94,10 @@ mod tests {
         let again = whitening.covariance();
         [xx, xy, yy].iter().zip(again).for_each(|(a, b)| assert!((a - b).abs() < 1e-6));
         assert!((whitening.sigma() - (0.5 * (xx + yy)).sqrt()).abs() < 1e-6);
+        let turned = whitening.mapped([[0.0, -1.0], [1.0, 0.0]]).covariance();
+        [yy, -xy, xx].iter().zip(turned).for_each(|(a, b)| assert!((a - b).abs() < 1e-6));
+        let long = Whitening::of_covariance([1e6, 1e6, 1e6 - 1.0]);
+        assert!(long.apply([1.0, 1.0]).iter().all(|v| v.is_finite()));
         let sum = whitening.plus(&Whitening::isotropic(0.2)).covariance();
         let expected = [xx + 0.04, xy, yy + 0.04];
         expected.iter().zip(sum).for_each(|(a, b)| assert!((a - b).abs() < 1e-6));

@@ -2,7 +2,7 @@
 //! points were lost is registered by them (ORB-SLAM's local map).
 
 use crate::multiview::landmark::{
-    Landmark, MAX_INLIER_ERROR, Match, approximate_error, warp_between_views,
+    Landmark, MAX_INLIER_ERROR, Match, registration_error, warp_between_views,
 };
 use crate::multiview::pnp::{pose_of_samples, solve_pnp};
 use crate::register::registration::initial_poses;
@@ -114,14 +114,7 @@ impl LocalMap<'_> {
                 }
                 let at_keyframe = o.raw().map(|v| v as f32);
                 let warp = self.predicted_warp((track, keyframe), pose, motion);
-                let error_at_keyframe = *o.whitening();
-                let point = warp.map(|warp| PredictedPoint {
-                    track,
-                    keyframe,
-                    at_keyframe,
-                    error_at_keyframe,
-                    warp,
-                });
+                let point = warp.map(|warp| PredictedPoint { track, keyframe, at_keyframe, warp });
                 points.extend(point.map(|point| (track, point)));
             }
         }
@@ -182,10 +175,11 @@ impl LocalMap<'_> {
 
     /// True if the reprojection error of a landmark that was found is that of an inlier.
     fn agrees(&self, found: &FoundPoint, pose: &Pose<f64>) -> bool {
-        let error = |m: Match<'_>| approximate_error(&self.state.camera, pose, &m);
+        let Self { state, .. } = self;
+        let error = |m: Match<'_>| registration_error(&state.camera, pose, &m, state.noise_scale);
         let matched = self.state.landmarks[found.point.track].as_ref();
         let error = matched.map(|landmark| error((landmark, &found.observation)));
-        error.is_some_and(|error| error < MAX_INLIER_ERROR * self.state.noise_scale)
+        error.is_some_and(|error| error < MAX_INLIER_ERROR)
     }
 
     fn matches<'b>(&'b self, found: &'b [FoundPoint]) -> Vec<Match<'b>> {

@@ -281,7 +281,7 @@ mod tests {
         let pose = |frame: usize| {
             Pose::new(Rotation::identity(), Vec3::new(0.05 * frame as f64, 0.0, 0.0))
         };
-        for (error, is_posed) in [(2.4, true), (60.0, false)] {
+        for (error, is_posed) in [(4.0, true), (60.0, false)] {
             let observe = |point: Vec3<f64>, frame: usize, n: &[f64]| {
                 let (u, v) = camera().project(pose(frame).inverse() * point);
                 let error = if frame == BLURRED { error } else { 0.3 };

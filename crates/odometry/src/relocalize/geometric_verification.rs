@@ -4,7 +4,7 @@
 //! it predicts them, with their patches, in nearly all regions of the picture: a poster that hangs
 //! on two walls does not pass.
 
-use crate::multiview::landmark::{Landmark, Match, approximate_error, warp_between_views};
+use crate::multiview::landmark::{Landmark, Match, registration_error, warp_between_views};
 use crate::multiview::pnp::{solve_pnp, solve_pnp_ransac};
 use crate::relocalize::descriptor::DescribedPoints;
 use crate::sfm_state::SfmState;
@@ -188,7 +188,7 @@ impl<'a> KeyframeComparison<'a> {
         let observation = Observation::whitened(
             new.frame,
             at,
-            position_whitening(&found, scale).plus(shown.whitening()),
+            position_whitening(&found, scale).plus(&shown.whitening().mapped(found.warp.matrix)),
         )
         .moved_to(std::array::from_fn(|i| at[i] - rows[i]));
         is_there.then_some((*track, observation))
@@ -213,7 +213,7 @@ fn relative_scale<'a>(
     let ratio = |(track, m): (usize, Match<'a>)| {
         let here = (own.inverse() * state.landmarks[track]?.position()).z;
         let there = (pose.inverse() * m.0.position()).z;
-        let agrees = approximate_error(&state.camera, pose, &m) < MAX_MATCH_ERROR;
+        let agrees = registration_error(&state.camera, pose, &m, 1.0) < MAX_MATCH_ERROR;
         (agrees && here > 0.0 && there > 0.0).then_some(there / here)
     };
     let mut ratios: Vec<f64> = matches.filter_map(ratio).collect();

@@ -4,7 +4,7 @@
 //! a point moves in that time; its position is corrected to the moment of the middle row. The
 //! readout of least cost is searched.
 
-use crate::multiview::landmark::{Landmark, MAX_INLIER_ERROR};
+use crate::multiview::landmark::{Landmark, MAP_SIGMA, MAX_INLIER_ERROR};
 use crate::multiview::lens_distortion::undistort;
 use crate::multiview::robust_loss::length;
 use crate::progress::Stage;
@@ -206,7 +206,8 @@ pub(crate) fn correct_observations_in(
         let moved = match &motion {
             Some(motion) => {
                 let tracked = tracked_velocity(track, frame, timestamps);
-                let tracked = tracked.map(|v| (v.map(|v| v * late), MAX_INLIER_ERROR * o.sigma()));
+                let tracked = tracked
+                    .map(|v| (v.map(|v| v * late), MAX_INLIER_ERROR * o.sigma().hypot(MAP_SIGMA)));
                 let landmark = (landmark.as_ref(), flat);
                 picture_motion(&camera, motion, landmark, late, tracked)
             }

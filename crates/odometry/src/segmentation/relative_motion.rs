@@ -4,7 +4,9 @@
 //! those of reprojection; elsewhere it is an essential matrix, and errors are distances from
 //! epipolar lines, in which a motion along those lines does not show.
 
-use crate::multiview::landmark::{Landmark, MAP_SIGMA, MAX_INLIER_ERROR, Match, approximate_error};
+use crate::multiview::landmark::{
+    Landmark, MAP_SIGMA, MAX_INLIER_ERROR, Match, registration_error,
+};
 use crate::multiview::pnp::{refine_pnp, solve_pnp_minimal};
 use crate::multiview::robust_loss::cauchy;
 use crate::multiview::two_view::{
@@ -82,7 +84,7 @@ fn rigid_errors(camera: &Camera<f64>, shared: &[SharedPoint<'_>]) -> Option<Erro
     let matches: Vec<Match<'_>> =
         landmarks.iter().zip(shared).map(|(landmark, (_, second))| (landmark, *second)).collect();
     let errors = |pose: &Pose<f64>| -> Vec<f64> {
-        matches.iter().map(|m| approximate_error(camera, pose, m)).collect()
+        matches.iter().map(|m| registration_error(camera, pose, m, 1.0)).collect()
     };
     let fit = |sample: &[usize]| {
         let some: Vec<Match<'_>> = sample.iter().map(|i| matches[*i]).collect();

@@ -2,7 +2,7 @@
 
 use super::SfmState;
 use super::near_points::NearestDepths;
-use crate::multiview::landmark::{MAX_INLIER_ERROR, Match, reprojection_error};
+use crate::multiview::landmark::{MAX_INLIER_ERROR, Match, registration_error, reprojection_error};
 use crate::track::tracks::Observation;
 use i2slam_compute::median;
 use i2slam_geometry::Pose;
@@ -98,7 +98,7 @@ impl SfmState {
             for (track, observation) in self.observations_in(*frame).filter(|(t, _)| seen[*t] > 1) {
                 let landmark = self.landmarks[track].as_ref().zip(self.poses[*frame].as_ref());
                 let error = landmark.map_or(f64::INFINITY, |(landmark, pose)| {
-                    reprojection_error(&self.camera, pose, &(landmark, observation))
+                    registration_error(&self.camera, pose, &(landmark, observation), 1.0)
                 });
                 sum += error.min(MAX_INLIER_ERROR).powi(2);
                 count += 1;
@@ -111,7 +111,7 @@ impl SfmState {
     pub(crate) fn count_inliers(&self, frame: usize) -> usize {
         let Some(pose) = self.poses[frame] else { return 0 };
         let agrees = |m: &&Match<'_>| {
-            reprojection_error(&self.camera, &pose, m) < MAX_INLIER_ERROR * self.noise_scale
+            registration_error(&self.camera, &pose, m, self.noise_scale) < MAX_INLIER_ERROR
         };
         self.matches(frame).iter().filter(agrees).count()
     }
@@ -121,8 +121,8 @@ impl SfmState {
         let is_off = |(track, o): &(usize, &Observation)| {
             let landmark = self.landmarks[*track].as_ref();
             landmark.is_some_and(|landmark| {
-                let error = reprojection_error(&self.camera, pose, &(landmark, o));
-                error >= MAX_INLIER_ERROR * self.noise_scale
+                let noise = self.noise_scale;
+                registration_error(&self.camera, pose, &(landmark, o), noise) >= MAX_INLIER_ERROR
             })
         };
         self.observations_in(frame).filter(is_off).map(|(track, _)| track).collect()

@@ -77,7 +77,7 @@ pub(crate) struct PatchMatch {
     pub(crate) correlation: f32,
     /// Covariance of the centre, `xx`, `xy`, `yy` [px²], if what the patch does not explain is noise that is
     /// independent from pixel to pixel.
-    pub(crate) covariance: [f32; 3],
+    pub(crate) covariance: [f64; 3],
 }
 
 impl<const N: usize> PatchTemplate<N> {
@@ -150,15 +150,15 @@ impl<const N: usize> PatchTemplate<N> {
     /// translation, the matrix `W` of the warp, and `σ² = (1/ρ² - 1) ‖T‖² / (pixels - unknowns)`, which is the
     /// variance of what least squares leave in units of the patch.
     #[inline(always)]
-    pub(crate) fn covariance(&self, warp: &AffineWarp, correlation: f32) -> [f32; 3] {
+    pub(crate) fn covariance(&self, warp: &AffineWarp, correlation: f32) -> [f64; 3] {
         let unexplained = (correlation * correlation).max(MIN_EXPLAINED).recip() - 1.0;
         let variance = unexplained.max(0.0) * self.norm * self.norm / (AREA - N) as f32;
         let [xx, xy, yy] =
-            [(2, 2), (2, 3), (3, 3)].map(|(row, column)| variance * self.inverse[row][column]);
-        let product = |a: [f32; 2], b: [f32; 2]| {
+            [(2, 2), (2, 3), (3, 3)].map(|(r, c)| f64::from(variance * self.inverse[r][c]));
+        let product = |a: [f64; 2], b: [f64; 2]| {
             a[0] * (xx * b[0] + xy * b[1]) + a[1] * (xy * b[0] + yy * b[1])
         };
-        let [x, y] = warp.matrix;
+        let [x, y] = warp.matrix.map(|row| row.map(f64::from));
         [product(x, x), product(x, y), product(y, y)]
     }
 
@@ -326,7 +326,7 @@ mod tests {
             let PatchMatch { warp, covariance, .. } = found.expect("found");
             let [x, y] = [warp.centre[0] - 30.5, warp.centre[1] - 24.5].map(f64::from);
             [x * x, x * y, y * y].into_iter().enumerate().for_each(|(i, v)| scatter[i] += v);
-            (0..3).for_each(|i| claimed[i] += f64::from(covariance[i]));
+            (0..3).for_each(|i| claimed[i] += covariance[i]);
         }
         // Along the stripes, and across.
         for sign in [-1.0, 1.0] {

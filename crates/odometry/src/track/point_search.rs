@@ -89,8 +89,8 @@ pub(crate) fn anchor_whitening(template: &PatchTemplate<8>, scale: f64) -> White
     whitening(template.covariance(&here, USUAL_CORRELATION), scale)
 }
 
-fn whitening(formal: [f32; 3], scale: f64) -> Whitening {
-    let [xx, xy, yy] = formal.map(|v| SIGMA_PER_FORMAL * SIGMA_PER_FORMAL * f64::from(v));
+fn whitening(formal: [f64; 3], scale: f64) -> Whitening {
+    let [xx, xy, yy] = formal.map(|v| SIGMA_PER_FORMAL * SIGMA_PER_FORMAL * v);
     let least = MIN_POSITION_SIGMA * MIN_POSITION_SIGMA;
     Whitening::of_covariance([xx + least, xy, yy + least].map(|v| v * scale * scale))
 }

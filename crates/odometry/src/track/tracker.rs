@@ -3,7 +3,6 @@
 pub(crate) mod predicted_points;
 mod resumption;
 
-use crate::multiview::whitening::Whitening;
 use crate::track::corners::detect_corners;
 use crate::track::global_translation::estimate_global_translation;
 use crate::track::motion_blur::{EqualBlur, SHARES, ShutterShare};
@@ -61,10 +60,6 @@ struct TrackedPoint {
     anchor: AnchorPatch,
     /// Keyframe of the anchor.
     anchor_frame: usize,
-    /// Deviation of the anchor's position, where this was measured by another one.
-    anchor_error: Option<Whitening>,
-    /// Deviation of the last measurement.
-    last_error: Option<Whitening>,
     /// Frames since the last measurement.
     hidden_frames: usize,
     /// Whether its position in the last frame is a real one, not an extrapolation.
@@ -176,9 +171,7 @@ impl Tracker {
                 continue;
             };
             (point.correlation, point.hidden_frames) = (correlation, 0);
-            let observation = outcome.observation(frame).map(|o| point.with_anchor_error(o));
-            point.last_error = observation.map(|o| *o.whitening());
-            tracked.observed.extend(observation.map(|o| (point.track, o)));
+            tracked.observed.extend(outcome.observation(frame).map(|o| (point.track, o)));
         }
         // Both tests must agree: a flash spoils the correlation, fast motion loses points.
         let is_cut =
@@ -295,7 +288,7 @@ impl Tracker {
                 is_aged.then(|| AnchorPatch::new(&next.pyramid, point.warp.centre)).flatten()
             {
                 (point.anchor, point.warp) = (anchor, AffineWarp::translation(point.warp.centre));
-                (point.anchor_frame, point.anchor_error) = (frame, point.last_error);
+                point.anchor_frame = frame;
             }
         }
         let taken: Vec<[f32; 2]> = self.points.iter().map(|p| p.warp.centre).collect();
@@ -366,23 +359,11 @@ impl TrackedPoint {
             warp: AffineWarp::translation(at),
             anchor,
             anchor_frame,
-            anchor_error: None,
-            last_error: None,
             hidden_frames: 0,
             is_followed: true,
             at_keyframe: None,
             correlation: 1.0,
         }
-    }
-
-    /// The point with an anchor at a position that was measured with an error.
-    fn with_measured_anchor(self, error: &Whitening) -> Self {
-        Self { anchor_error: Some(*error), last_error: Some(*error), ..self }
-    }
-
-    /// A measurement by the anchor, with the error of this.
-    fn with_anchor_error(&self, measured: Observation) -> Observation {
-        self.anchor_error.map_or(measured, |error| measured.with_added_error(&error))
     }
 }
 

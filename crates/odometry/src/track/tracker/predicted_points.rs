@@ -13,10 +13,9 @@ use std::collections::{BTreeMap, BTreeSet};
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct PredictedPoint {
     pub(crate) track: usize,
-    /// Keyframe, and the position that was measured there [px] with its deviation.
+    /// Keyframe, and the position that was measured there [px].
     pub(crate) keyframe: usize,
     pub(crate) at_keyframe: [f32; 2],
-    pub(crate) error_at_keyframe: Whitening,
     /// Warp of its surroundings from there into the last picture, where its centre is predicted.
     pub(crate) warp: AffineWarp,
 }
@@ -54,19 +53,17 @@ impl Tracker {
         let used: BTreeSet<usize> = points.iter().map(|point| point.keyframe).collect();
         let compare = |(frame, keyframe): (&usize, &TrackedPicture)| {
             let smear = (last.blur_length().powi(2) - keyframe.blur_length().powi(2)).abs().sqrt();
-            let sigma = f64::from(smear) / 12_f64.sqrt();
-            (*frame, (keyframe.equal_blur(last), Whitening::isotropic(sigma)))
+            (*frame, (keyframe.equal_blur(last), f64::from(smear) / 12_f64.sqrt()))
         };
         let shown = self.anchors.iter().filter(|(frame, _)| used.contains(frame));
-        let equal: BTreeMap<usize, (EqualBlur, Whitening)> = shown.map(compare).collect();
+        let equal: BTreeMap<usize, (EqualBlur, f64)> = shown.map(compare).collect();
         let search = |point: &PredictedPoint| {
-            let (equal, smear_error) = equal.get(&point.keyframe)?;
+            let (equal, smear_sigma) = equal.get(&point.keyframe)?;
             let anchor = self.anchor(point)?;
             let predicted = FollowedPoint::not_followed(point.warp.centre);
             let outcome = search_point(&anchor, point.warp, &predicted, &last.pyramid, equal);
             let found = outcome.observation(self.frames - 1)?;
-            let error = point.error_at_keyframe.plus(smear_error);
-            let observation = found.with_added_error(&error);
+            let observation = found.with_added_error(&Whitening::isotropic(*smear_sigma));
             let [x, y] = [0, 1].map(|i| outcome.warp.centre[i] - point.warp.centre[i]);
             (x.hypot(y) < most).then_some(FoundPoint { point: *point, outcome, observation })
         };
@@ -93,9 +90,7 @@ impl Tracker {
             let began = TrackedPoint::new(point.track, at, self.anchor(point)?, point.keyframe);
             let correlation = outcome.correlation()?;
             let at_keyframe = (point.keyframe == self.last_keyframe).then_some(at);
-            let began = began.with_measured_anchor(&point.error_at_keyframe);
-            let last_error = Some(*found.observation.whitening());
-            Some(TrackedPoint { warp: outcome.warp, correlation, at_keyframe, last_error, ..began })
+            Some(TrackedPoint { warp: outcome.warp, correlation, at_keyframe, ..began })
         };
         self.points = stay.chain(found.iter().filter_map(again)).collect();
         if is_keyframe {
@@ -127,8 +122,7 @@ mod tests {
             let point = |(track, began): (usize, &crate::track::tracks::Track)| {
                 let at_keyframe @ [x, y] = began.observations[0].raw().map(|v| v as f32);
                 let warp = AffineWarp::translation([x + 20.0 + off, y]);
-                let error_at_keyframe = *began.observations[0].whitening();
-                PredictedPoint { track, keyframe: 0, at_keyframe, error_at_keyframe, warp }
+                PredictedPoint { track, keyframe: 0, at_keyframe, warp }
             };
             first.iter().enumerate().map(point).filter(|p| p.warp.centre[0] < 85.0).collect()
         };

@@ -22,8 +22,7 @@ impl Tracker {
             else {
                 continue;
             };
-            let point = TrackedPoint::new(*track, at, anchor, frame);
-            resumed.push(point.with_measured_anchor(o.whitening()));
+            resumed.push(TrackedPoint::new(*track, at, anchor, frame));
         }
         self.points.retain(|p| {
             let is_replaced =
