@@ -12,7 +12,7 @@ pub(crate) struct Whitening {
 }
 
 impl Whitening {
-    /// The same standard deviation [px] in all directions.
+    /// A standard deviation [px] in all directions.
     pub(crate) fn isotropic(sigma: f64) -> Self {
         let inverse = sigma.recip() as f32;
         Self { factor: [inverse, 0.0, inverse] }
