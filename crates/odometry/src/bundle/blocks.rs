@@ -68,8 +68,7 @@ pub(super) struct GlobalBlock {
 }
 
 /// A weighted residual with its derivatives: the image position in standard deviations, and the inverse depth
-/// if measured. With
-/// another curvature than the majorizing one it is scaled, so that gradients are right still.
+/// if measured. With another curvature than the majorizing one it is scaled, so that gradients are right still.
 pub(super) struct WeightedResidual {
     pub(super) projection: Projection,
     camera_jacobian: CameraJacobian,

@@ -40,13 +40,8 @@ impl Whitening {
     }
 
     /// The deviation of an error after a linear map.
-    pub(crate) fn mapped(&self, [x, y]: [[f32; 2]; 2]) -> Self {
-        let [xx, xy, yy] = self.covariance();
-        let [x, y] = [x, y].map(|row| row.map(f64::from));
-        let product = |a: [f64; 2], b: [f64; 2]| {
-            a[0] * (xx * b[0] + xy * b[1]) + a[1] * (xy * b[0] + yy * b[1])
-        };
-        Self::of_covariance([product(x, x), product(x, y), product(y, y)])
+    pub(crate) fn mapped(&self, by: [[f32; 2]; 2]) -> Self {
+        Self::of_covariance(mapped_covariance(self.covariance(), by))
     }
 
     /// The deviation of a sum of two independent errors.
@@ -75,6 +70,15 @@ impl Whitening {
             [*x, *y] = self.apply([*x, *y]);
         }
     }
+}
+
+/// `A Σ Aᵀ` of a covariance `Σ`: `xx`, `xy`, `yy`.
+#[inline(always)]
+pub(crate) fn mapped_covariance([xx, xy, yy]: [f64; 3], by: [[f32; 2]; 2]) -> [f64; 3] {
+    let product =
+        |a: [f64; 2], b: [f64; 2]| a[0] * (xx * b[0] + xy * b[1]) + a[1] * (xy * b[0] + yy * b[1]);
+    let [x, y] = by.map(|row| row.map(f64::from));
+    [product(x, x), product(x, y), product(y, y)]
 }
 
 #[cfg(test)]

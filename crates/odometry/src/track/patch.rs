@@ -4,6 +4,7 @@
 //! template `T` the unknowns `(α, β, α δ)` are linear with one constant matrix, so that changes of
 //! exposure cost nothing.
 
+use crate::multiview::whitening::mapped_covariance;
 use i2slam_compute::{factorize_cholesky, solve_cholesky};
 use i2slam_geometry::Image;
 use pulp::Arch;
@@ -153,13 +154,9 @@ impl<const N: usize> PatchTemplate<N> {
     pub(crate) fn covariance(&self, warp: &AffineWarp, correlation: f32) -> [f64; 3] {
         let unexplained = (correlation * correlation).max(MIN_EXPLAINED).recip() - 1.0;
         let variance = unexplained.max(0.0) * self.norm * self.norm / (AREA - N) as f32;
-        let [xx, xy, yy] =
+        let translation =
             [(2, 2), (2, 3), (3, 3)].map(|(r, c)| f64::from(variance * self.inverse[r][c]));
-        let product = |a: [f64; 2], b: [f64; 2]| {
-            a[0] * (xx * b[0] + xy * b[1]) + a[1] * (xy * b[0] + yy * b[1])
-        };
-        let [x, y] = warp.matrix.map(|row| row.map(f64::from));
-        [product(x, x), product(x, y), product(y, y)]
+        mapped_covariance(translation, warp.matrix)
     }
 
     #[inline(always)]
