@@ -3,7 +3,7 @@
 use super::relative_pose::LinearRelativePose;
 use super::sparsity::BlockSparsity;
 use super::{Bundle, BundleObservation, FreeIntrinsics, GLOBALS, LANDMARKS_PER_TASK};
-use crate::multiview::landmark::Projection;
+use crate::multiview::landmark::{Landmark, Projection};
 use crate::multiview::lens_distortion::CameraJacobian;
 use crate::multiview::robust_loss::{HUBER_THRESHOLD, huber, length};
 use i2slam_compute::reduce_in_order;
@@ -91,12 +91,12 @@ impl LandmarkBlock {
 #[inline(always)]
 pub(super) fn weighted_residual(
     bundle: &Bundle,
-    landmark: usize,
+    landmark: &Landmark,
     observation: &BundleObservation,
     curvature: Curvature,
 ) -> Option<WeightedResidual> {
     let pose = &bundle.poses[observation.pose];
-    let mut projection = bundle.landmarks[landmark].project(&bundle.camera, pose)?;
+    let mut projection = landmark.project(&bundle.camera, pose)?;
     let seen = observation.corrected(bundle.camera_change);
     let whitening = &observation.whitening;
     let [x, y] = whitening.apply([projection.at[0] - seen[0], projection.at[1] - seen[1]]);
@@ -132,7 +132,8 @@ pub(super) fn landmark_block(
     landmark_observations: &[(u32, u32)],
     curvature: Curvature,
 ) -> LandmarkBlock {
-    let observations = bundle.observations[landmark].iter();
+    let (observations, landmark) =
+        (bundle.observations[landmark].iter(), &bundle.landmarks[landmark]);
     let all: Vec<Option<WeightedResidual>> =
         observations.map(|s| weighted_residual(bundle, landmark, s, curvature)).collect();
     let has_globals = bundle.free_intrinsics != FreeIntrinsics::None;
@@ -183,6 +184,7 @@ pub(super) fn pose_block(
         let landmark = *landmark as usize;
         let observation = &bundle.observations[landmark]
             [sparsity.landmark_observations[landmark][*k as usize].1 as usize];
+        let landmark = &bundle.landmarks[landmark];
         let Some(w) = weighted_residual(bundle, landmark, observation, curvature) else { continue };
         for i in 0..w.rows {
             let row = &w.projection.by_pose[i];
@@ -236,8 +238,8 @@ fn transposed(m: &[[f64; 6]; 6]) -> [[f64; 6]; 6] {
 pub(super) fn global_block(bundle: &Bundle, curvature: Curvature) -> GlobalBlock {
     let task = |range: std::ops::Range<usize>| {
         let mut sum = GlobalBlock::default();
-        for (landmark, observation) in
-            range.flat_map(|l| bundle.observations[l].iter().map(move |s| (l, s)))
+        for (landmark, observation) in range
+            .flat_map(|l| bundle.observations[l].iter().map(move |s| (&bundle.landmarks[l], s)))
         {
             let Some(w) = weighted_residual(bundle, landmark, observation, curvature) else {
                 continue;

@@ -10,10 +10,12 @@
 //!
 //! over observations with covariance `Σ` (`‖r‖_Σ² = rᵀ Σ⁻¹ r`), measured depths and relative poses
 //! with information `Λ`, by Levenberg-Marquardt; landmarks are eliminated by the Schur complement
-//! (Triggs et al. 2000, section 6).
+//! (Triggs et al. 2000, section 6), and moved to their optimum after every step
+//! ([`intersection`]).
 
 mod blocks;
 mod covariance;
+mod intersection;
 mod normal_equations;
 mod picture_region;
 mod pose_scatter;
@@ -48,8 +50,11 @@ const BEHIND_CAMERA_ERROR: f64 = 1e4;
 const MAX_DAMPING: f64 = 1e6;
 /// Poses from which on progress is reported: smaller bundles take milliseconds.
 const MIN_REPORTED_POSES: usize = 64;
-/// Relative decrease of the cost at which the iteration has converged.
+/// Relative decrease of the cost at which a resection has converged.
 const MIN_RELATIVE_DECREASE: f64 = 1e-5;
+/// Decrease of the cost at which the iteration has converged, as a ratio to [`Bundle::share_of_poses`]: along
+/// what pictures hardly tell, as the length of a path behind a weak link, noise leads far away.
+const CONVERGED_DECREASE: f64 = 0.01;
 /// Parameters shared by all observations: logarithm of the focal length, [`CameraJacobian`]'s.
 const GLOBALS: usize = 3;
 /// Largest change of each of them per step.
@@ -114,6 +119,7 @@ impl Bundle {
     pub(crate) fn adjust(&mut self, steps: usize, progress: &Progress) -> f64 {
         let mut cost = self.cost();
         let mut damping = 1e-4;
+        let min_decrease = CONVERGED_DECREASE * self.share_of_poses();
         let sparsity = BlockSparsity::new(self);
         let mut linear = SchurSystem::new(self, &sparsity, Curvature::Majorizing);
         for done in 0..steps {
@@ -123,13 +129,13 @@ impl Bundle {
             if self.poses.len() > MIN_REPORTED_POSES {
                 progress.report(Stage::BundleAdjustment, done, steps);
             }
-            let moved = linear.step(damping).map(|step| self.apply_step(&step));
+            let moved = linear.step(damping).map(|step| self.apply_step(&step).intersected());
             let next = moved.as_ref().map_or(f64::INFINITY, Self::cost);
             match moved {
                 Some(moved) if next < cost => {
                     let gained = cost - next;
                     (*self, cost, damping) = (moved, next, (damping * 0.2).max(1e-9));
-                    if gained < MIN_RELATIVE_DECREASE * cost {
+                    if gained < min_decrease * cost {
                         break;
                     }
                     linear = SchurSystem::new(self, &sparsity, Curvature::Majorizing);
@@ -141,6 +147,17 @@ impl Bundle {
             }
         }
         cost / self.observations.iter().map(Vec::len).sum::<usize>().max(1) as f64
+    }
+
+    /// Share of the cost at a minimum by which the cost of the true poses exceeds it: the number of their
+    /// parameters over that of the residuals less all parameters.
+    fn share_of_poses(&self) -> f64 {
+        let observations = self.observations.iter().flatten();
+        let rows: usize = observations.map(|o| 2 + usize::from(o.depth.is_some())).sum();
+        let free = self.fixed.iter().filter(|fixed| !**fixed).count();
+        let poses = 6 * free + self.free_intrinsics as usize;
+        let rows = rows + 6 * self.relative_poses.len();
+        poses as f64 / rows.saturating_sub(poses + 3 * self.landmarks.len()).max(1) as f64
     }
 
     /// Multiplies the standard deviations of all measured depths.
@@ -158,19 +175,20 @@ impl Bundle {
     /// Robust cost of all observations [variances].
     fn cost(&self) -> f64 {
         let part = |range: std::ops::Range<usize>| -> f64 {
-            range
-                .map(|i| {
-                    self.observations[i].iter().map(|s| self.observation_cost(i, s)).sum::<f64>()
-                })
-                .sum()
+            range.map(|i| self.landmark_cost(i, &self.landmarks[i])).sum()
         };
         let mut total = self.relative_poses.iter().map(|f| f.cost(&self.poses)).sum::<f64>();
         reduce_in_order(self.landmarks.len(), LANDMARKS_PER_TASK, part, |sum| total += sum);
         if total.is_finite() { total } else { f64::INFINITY }
     }
 
-    fn observation_cost(&self, landmark: usize, observation: &BundleObservation) -> f64 {
-        let (pose, landmark) = (&self.poses[observation.pose], &self.landmarks[landmark]);
+    /// Cost of all observations of a landmark, were it `landmark`.
+    fn landmark_cost(&self, index: usize, landmark: &Landmark) -> f64 {
+        self.observations[index].iter().map(|o| self.observation_cost(landmark, o)).sum()
+    }
+
+    fn observation_cost(&self, landmark: &Landmark, observation: &BundleObservation) -> f64 {
+        let pose = &self.poses[observation.pose];
         let at = landmark.image_position(&self.camera, pose);
         let seen = observation.corrected(self.camera_change);
         let whitening = &observation.whitening;

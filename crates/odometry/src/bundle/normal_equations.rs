@@ -225,8 +225,8 @@ pub(super) fn gradient_along(
     observation: &BundleObservation,
     step: &BundleStep,
 ) -> f64 {
-    let bounding = Curvature::Majorizing;
-    let Some(w) = weighted_residual(bundle, landmark, observation, bounding) else { return 0.0 };
+    let (bounding, point) = (Curvature::Majorizing, &bundle.landmarks[landmark]);
+    let Some(w) = weighted_residual(bundle, point, observation, bounding) else { return 0.0 };
     let product = |row: &[f64], change: &[f64]| -> f64 {
         row.iter().zip(change).map(|(slope, change)| slope * change).sum()
     };

@@ -123,7 +123,8 @@ pub(super) fn observation_gradients(
         let rows: usize = observations.iter().map(|o| 2 + usize::from(o.depth.is_some())).sum();
         let correction = (rows as f64 / rows.saturating_sub(3).max(1) as f64).sqrt();
         observations.iter().filter_map(move |o| {
-            let w = weighted_residual(bundle, landmark, o, Curvature::Majorizing)?;
+            let point = &bundle.landmarks[landmark];
+            let w = weighted_residual(bundle, point, o, Curvature::Majorizing)?;
             let sum = |slope: &dyn Fn(usize) -> f64| -> f64 {
                 (0..w.rows).map(|row| w.weights[row] * w.residual[row] * slope(row)).sum()
             };

@@ -7,6 +7,8 @@ use i2slam_compute::NormalEquations;
 use i2slam_geometry::{Camera, Pose, Vec3};
 
 const MAX_STEPS: usize = 10;
+/// Relative decrease of the cost at which a landmark has converged.
+const MIN_DECREASE: f64 = 1e-4;
 /// Largest mean residual of a landmark [standard deviations].
 const MAX_MEAN_ERROR: f64 = 4.0;
 
@@ -90,21 +92,35 @@ fn inverse_depth(
     above / below
 }
 
-/// Levenberg-Marquardt on the landmark alone.
+/// The landmark of least cost near `start`; `None` where that is behind a camera.
 pub(crate) fn refine_landmark(
     camera: &Camera<f64>,
     start: Landmark,
     observations: &[PosedObservation<'_>],
 ) -> Option<Landmark> {
+    minimize(start, MAX_STEPS, |landmark| normal_equations(camera, landmark, observations))
+}
+
+/// Levenberg-Marquardt on a landmark alone, in up to `steps` steps, from its equations and their cost; `None`
+/// where the first ones are missing or singular.
+pub(crate) fn minimize(
+    start: Landmark,
+    steps: usize,
+    normal_equations: impl Fn(&Landmark) -> Option<NormalEquations<3>>,
+) -> Option<Landmark> {
     let (mut landmark, mut damping) = (start, 1e-4);
-    let mut equations = normal_equations(camera, &landmark, observations)?;
-    for _ in 0..MAX_STEPS {
+    let mut equations = normal_equations(&landmark)?;
+    for _ in 0..steps {
         let step = equations.step(damping)?;
         let mut tried = landmark;
         (0..3).for_each(|i| tried.values[i] += step[i]);
-        match normal_equations(camera, &tried, observations) {
+        match normal_equations(&tried) {
             Some(next) if next.cost < equations.cost => {
+                let has_converged = equations.cost - next.cost < MIN_DECREASE * equations.cost;
                 (landmark, equations, damping) = (tried, next, damping * 0.2);
+                if has_converged {
+                    break;
+                }
             }
             _ => damping *= 10.0,
         }

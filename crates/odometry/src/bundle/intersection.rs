@@ -1,0 +1,84 @@
+//! Intersection: all landmarks, with all poses held.
+//!
+//! A step of the joint normal equations is straight. Where parallax is small and a landmark's depth weak, its
+//! optimum bends away from that; its residuals then hide what the poses have gained, and the iteration stops
+//! in a valley far from the minimum. With every landmark at its optimum for the new poses the cost is one of
+//! poses alone (Jeong et al. 2012, *Pushing the envelope of modern methods for bundle adjustment*, section
+//! 4.2; Hong et al. 2016, *Projective bundle adjustment from arbitrary initialization using the variable
+//! projection method*).
+
+use super::Bundle;
+use super::blocks::{Curvature, weighted_residual};
+use crate::multiview::landmark::Landmark;
+use crate::multiview::triangulation::minimize;
+use i2slam_compute::NormalEquations;
+use rayon::prelude::*;
+
+/// Steps of every landmark.
+const STEPS: usize = 3;
+
+impl Bundle {
+    /// The bundle with every landmark at its optimum for the poses.
+    pub(super) fn intersected(mut self) -> Self {
+        let landmarks = 0..self.landmarks.len();
+        self.landmarks = landmarks.into_par_iter().map(|i| self.intersection(i)).collect();
+        self
+    }
+
+    fn intersection(&self, index: usize) -> Landmark {
+        let start = self.landmarks[index];
+        minimize(start, STEPS, |landmark| Some(self.landmark_equations(index, landmark)))
+            .unwrap_or(start)
+    }
+
+    /// Sums over the observations of a landmark, were it `landmark`.
+    fn landmark_equations(&self, index: usize, landmark: &Landmark) -> NormalEquations<3> {
+        let mut sum = NormalEquations::default();
+        for observation in &self.observations[index] {
+            let weighted = weighted_residual(self, landmark, observation, Curvature::Majorizing);
+            let Some(w) = weighted else { continue };
+            for i in 0..w.rows {
+                sum.add(&w.projection.by_landmark[i], w.residual[i], w.weights[i]);
+            }
+        }
+        sum.cost = self.landmark_cost(index, landmark);
+        sum
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::fixtures::{camera, state};
+    use i2slam_geometry::{Pose, Rotation, Tangent, Vec3};
+
+    /// A camera that hardly moves at first, and then walks.
+    fn pose(frame: usize) -> Pose<f64> {
+        let s = frame as f64;
+        let x = 0.001 * s + 0.02 * (s - 18.0).max(0.0);
+        Pose::new(Rotation::exp(Vec3::new(0.0, 0.01 * s, 0.0)), Vec3::new(x, 0.0, 0.002 * s))
+    }
+
+    /// Moved and turned against that, the first cameras see the middle of the scene where it was.
+    #[test]
+    fn a_path_that_is_torn_closes() {
+        let observe = |point: Vec3<f64>, frame: usize, n: &[f64]| {
+            let (u, v) = camera().project(pose(frame).inverse() * point);
+            Some([u + 0.1 * n[0], v + 0.1 * n[1]])
+        };
+        let mut torn = state((50, 8, 4), [150.0, 110.0], pose, observe);
+        let step = |poses: &[Option<Pose<f64>>]| {
+            let [a, b] = [17, 18].map(|frame| poses[frame].expect("posed").translation);
+            (b - a).norm()
+        };
+        let due = step(&torn.poses);
+        for known in torn.poses[..18].iter_mut().flatten() {
+            *known = known.retract(Tangent::from_array([0.05, 0.0, 0.0, 0.0, 0.02, 0.0]));
+        }
+        torn.landmarks.fill(None);
+        torn.triangulate_missing();
+        assert!(step(&torn.poses) > 0.04);
+        torn.adjust(&(0..50).collect::<Vec<_>>(), false, 20);
+        let found = step(&torn.poses);
+        assert!((found - due).abs() < 1e-3, "{found} for {due}");
+    }
+}
