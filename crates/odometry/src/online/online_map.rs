@@ -33,7 +33,7 @@ use std::sync::Arc;
 /// Keyframes among which the first pair of a map is searched.
 pub(super) const INITIALIZATION_WINDOW: usize = 12;
 /// Frames after which the readout is looked for.
-const READOUT_ESTIMATES: [usize; 6] = [6, 10, 20, 30, 60, 120];
+const READOUT_ESTIMATES: [usize; 10] = [6, 10, 20, 30, 45, 60, 75, 90, 105, 120];
 /// Keyframes up to which all are adjusted with every new one by colour alone: paths bend most while
 /// they are short.
 const MAX_ALWAYS_ADJUSTED_KEYFRAMES: usize = 30;
