@@ -1,16 +1,16 @@
-//! Intersection: all landmarks, with all poses held.
+//! Intersection: all landmarks, with all poses held, after each step of an adjustment (embedded point
+//! iterations: Jeong et al. 2012, *Pushing the envelope of modern methods for bundle adjustment*).
 //!
-//! A step of the joint normal equations is straight. Where parallax is small and a landmark's depth weak, its
-//! optimum bends away from that; its residuals then hide what the poses have gained, and the iteration stops
-//! in a valley far from the minimum. With every landmark at its optimum for the new poses the cost is one of
-//! poses alone (Jeong et al. 2012, *Pushing the envelope of modern methods for bundle adjustment*, section
-//! 4.2; Hong et al. 2016, *Projective bundle adjustment from arbitrary initialization using the variable
-//! projection method*).
+//! A step of the joint normal equations is straight in poses and landmarks. Where parallax is small, the inverse
+//! depth that is best for moved poses is no linear function of them; at the linear one residuals are longer,
+//! good steps seem to raise the cost, and the iteration becomes slow far from the minimum. Variable projection
+//! converges from farther away for the same reason (Hong et al. 2016, *Projective bundle adjustment from
+//! arbitrary initialization using the variable projection method*).
 
 use super::Bundle;
 use super::blocks::{Curvature, weighted_residual};
 use crate::multiview::landmark::Landmark;
-use crate::multiview::triangulation::minimize;
+use crate::multiview::triangulation::minimize_landmark;
 use i2slam_compute::NormalEquations;
 use rayon::prelude::*;
 
@@ -18,20 +18,19 @@ use rayon::prelude::*;
 const STEPS: usize = 3;
 
 impl Bundle {
-    /// The bundle with every landmark at its optimum for the poses.
-    pub(super) fn intersected(mut self) -> Self {
+    /// Moves every landmark to the least cost for the poses, in a few steps.
+    pub(super) fn intersect_landmarks(&mut self) {
         let landmarks = 0..self.landmarks.len();
-        self.landmarks = landmarks.into_par_iter().map(|i| self.intersection(i)).collect();
-        self
+        self.landmarks = landmarks.into_par_iter().map(|i| self.intersect(i)).collect();
     }
 
-    fn intersection(&self, index: usize) -> Landmark {
+    fn intersect(&self, index: usize) -> Landmark {
         let start = self.landmarks[index];
-        minimize(start, STEPS, |landmark| Some(self.landmark_equations(index, landmark)))
+        minimize_landmark(start, STEPS, |landmark| Some(self.landmark_equations(index, landmark)))
             .unwrap_or(start)
     }
 
-    /// Sums over the observations of a landmark, were it `landmark`.
+    /// Sums over the observations of a landmark, at another place of it.
     fn landmark_equations(&self, index: usize, landmark: &Landmark) -> NormalEquations<3> {
         let mut sum = NormalEquations::default();
         for observation in &self.observations[index] {
@@ -58,7 +57,7 @@ mod tests {
         Pose::new(Rotation::exp(Vec3::new(0.0, 0.01 * s, 0.0)), Vec3::new(x, 0.0, 0.002 * s))
     }
 
-    /// Moved and turned against that, the first cameras see the middle of the scene where it was.
+    /// The first cameras are moved, and turned so that the middle of the scene stays in the picture where it was.
     #[test]
     fn a_path_that_is_torn_closes() {
         let observe = |point: Vec3<f64>, frame: usize, n: &[f64]| {

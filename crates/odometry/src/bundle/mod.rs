@@ -10,8 +10,7 @@
 //!
 //! over observations with covariance `Σ` (`‖r‖_Σ² = rᵀ Σ⁻¹ r`), measured depths and relative poses
 //! with information `Λ`, by Levenberg-Marquardt; landmarks are eliminated by the Schur complement
-//! (Triggs et al. 2000, section 6), and moved to their optimum after every step
-//! ([`intersection`]).
+//! (Triggs et al. 2000, section 6), and placed anew after every step ([`intersection`]).
 
 mod blocks;
 mod covariance;
@@ -52,8 +51,8 @@ const MAX_DAMPING: f64 = 1e6;
 const MIN_REPORTED_POSES: usize = 64;
 /// Relative decrease of the cost at which a resection has converged.
 const MIN_RELATIVE_DECREASE: f64 = 1e-5;
-/// Decrease of the cost at which the iteration has converged, as a ratio to [`Bundle::share_of_poses`]: along
-/// what pictures hardly tell, as the length of a path behind a weak link, noise leads far away.
+/// Decrease of the cost by a step that ends the iteration, as a ratio to [`Bundle::excess_at_truth`]. Further
+/// steps follow the noise along what pictures hardly tell, such as the length of a path behind a weak link.
 const CONVERGED_DECREASE: f64 = 0.01;
 /// Parameters shared by all observations: logarithm of the focal length, [`CameraJacobian`]'s.
 const GLOBALS: usize = 3;
@@ -119,7 +118,7 @@ impl Bundle {
     pub(crate) fn adjust(&mut self, steps: usize, progress: &Progress) -> f64 {
         let mut cost = self.cost();
         let mut damping = 1e-4;
-        let min_decrease = CONVERGED_DECREASE * self.share_of_poses();
+        let min_decrease = CONVERGED_DECREASE * self.excess_at_truth();
         let sparsity = BlockSparsity::new(self);
         let mut linear = SchurSystem::new(self, &sparsity, Curvature::Majorizing);
         for done in 0..steps {
@@ -129,7 +128,8 @@ impl Bundle {
             if self.poses.len() > MIN_REPORTED_POSES {
                 progress.report(Stage::BundleAdjustment, done, steps);
             }
-            let moved = linear.step(damping).map(|step| self.apply_step(&step).intersected());
+            let mut moved = linear.step(damping).map(|step| self.apply_step(&step));
+            moved.iter_mut().for_each(Self::intersect_landmarks);
             let next = moved.as_ref().map_or(f64::INFINITY, Self::cost);
             match moved {
                 Some(moved) if next < cost => {
@@ -149,15 +149,16 @@ impl Bundle {
         cost / self.observations.iter().map(Vec::len).sum::<usize>().max(1) as f64
     }
 
-    /// Share of the cost at a minimum by which the cost of the true poses exceeds it: the number of their
-    /// parameters over that of the residuals less all parameters.
-    fn share_of_poses(&self) -> f64 {
+    /// Ratio by which the cost of the true poses exceeds that of the minimum in the mean, for independent noise:
+    /// the number of their parameters over that of the residuals less all parameters, at most 1.
+    fn excess_at_truth(&self) -> f64 {
         let observations = self.observations.iter().flatten();
         let rows: usize = observations.map(|o| 2 + usize::from(o.depth.is_some())).sum();
+        let rows = rows + 6 * self.relative_poses.len();
         let free = self.fixed.iter().filter(|fixed| !**fixed).count();
         let poses = 6 * free + self.free_intrinsics as usize;
-        let rows = rows + 6 * self.relative_poses.len();
-        poses as f64 / rows.saturating_sub(poses + 3 * self.landmarks.len()).max(1) as f64
+        let redundant = rows.saturating_sub(poses + 3 * self.landmarks.len());
+        (poses as f64 / redundant.max(1) as f64).min(1.0)
     }
 
     /// Multiplies the standard deviations of all measured depths.
@@ -182,7 +183,7 @@ impl Bundle {
         if total.is_finite() { total } else { f64::INFINITY }
     }
 
-    /// Cost of all observations of a landmark, were it `landmark`.
+    /// Cost of all observations of a landmark, at another place of it.
     fn landmark_cost(&self, index: usize, landmark: &Landmark) -> f64 {
         self.observations[index].iter().map(|o| self.observation_cost(landmark, o)).sum()
     }

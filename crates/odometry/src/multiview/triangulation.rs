@@ -92,18 +92,18 @@ fn inverse_depth(
     above / below
 }
 
-/// The landmark of least cost near `start`; `None` where that is behind a camera.
+/// The landmark of least cost near `start`; `None` where `start` is behind a camera.
 pub(crate) fn refine_landmark(
     camera: &Camera<f64>,
     start: Landmark,
     observations: &[PosedObservation<'_>],
 ) -> Option<Landmark> {
-    minimize(start, MAX_STEPS, |landmark| normal_equations(camera, landmark, observations))
+    minimize_landmark(start, MAX_STEPS, |landmark| normal_equations(camera, landmark, observations))
 }
 
-/// Levenberg-Marquardt on a landmark alone, in up to `steps` steps, from its equations and their cost; `None`
-/// where the first ones are missing or singular.
-pub(crate) fn minimize(
+/// Levenberg-Marquardt on a landmark alone, in up to `steps` steps, from its normal equations and their cost;
+/// `None` where there are none at `start`.
+pub(crate) fn minimize_landmark(
     start: Landmark,
     steps: usize,
     normal_equations: impl Fn(&Landmark) -> Option<NormalEquations<3>>,
@@ -111,7 +111,7 @@ pub(crate) fn minimize(
     let (mut landmark, mut damping) = (start, 1e-4);
     let mut equations = normal_equations(&landmark)?;
     for _ in 0..steps {
-        let step = equations.step(damping)?;
+        let Some(step) = equations.step(damping) else { break };
         let mut tried = landmark;
         (0..3).for_each(|i| tried.values[i] += step[i]);
         match normal_equations(&tried) {
