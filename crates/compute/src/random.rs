@@ -31,6 +31,18 @@ impl Random {
         ((u128::from(self.bits()) * count as u128) >> 64) as usize
     }
 
+    /// `size` different indices in `0..count`. `count` must not be less than `size`.
+    pub fn distinct_below(&mut self, count: usize, size: usize) -> Vec<usize> {
+        let mut chosen = Vec::with_capacity(size);
+        while chosen.len() < size {
+            let index = self.below(count);
+            if !chosen.contains(&index) {
+                chosen.push(index);
+            }
+        }
+        chosen
+    }
+
     /// Puts `items` in random order (Fisher and Yates).
     pub fn shuffle<T>(&mut self, items: &mut [T]) {
         for i in (1..items.len()).rev() {
@@ -58,5 +70,17 @@ mod tests {
             seen[random.below(5)] += 1;
         }
         assert!(seen.iter().all(|&n| n > 100));
+    }
+
+    #[test]
+    fn indices_of_a_sample_differ_and_none_is_favoured() {
+        let mut random = Random::new(1);
+        let mut seen = [0; 5];
+        for _ in 0..1000 {
+            let sample = random.distinct_below(5, 3);
+            assert!(sample[0] != sample[1] && sample[0] != sample[2] && sample[1] != sample[2]);
+            sample.iter().for_each(|index| seen[*index] += 1);
+        }
+        assert!(seen.iter().all(|&n| (n as i32 - 600).abs() < 75), "{seen:?}");
     }
 }

@@ -77,6 +77,8 @@ pub(super) struct WeightedResidual {
     pub(super) weights: [f64; 3],
     /// Number of rows: 2, or 3 with depth.
     pub(super) rows: usize,
+    /// Robust cost of all rows.
+    pub(super) cost: f64,
 }
 
 impl LandmarkBlock {
@@ -103,23 +105,25 @@ pub(super) fn weighted_residual(
     projection.whiten(whitening);
     let mut residual = [x, y, 0.0];
     let length = length([x, y]);
-    let weight = huber(length).0;
+    let (weight, mut cost) = huber(length);
     let (mut weights, mut rows) = ([weight, weight, 0.0], 2);
     if let Some(depth) = &observation.depth {
         residual[2] = projection.inverse_depth - depth.inverse;
         let off = residual[2].abs() / depth.sigma;
-        weights[2] = huber(off).0 / (depth.sigma * depth.sigma);
+        let (weight, cost_of_depth) = huber(off);
+        weights[2] = weight / (depth.sigma * depth.sigma);
+        cost += cost_of_depth;
         if curvature != Curvature::Majorizing {
-            let change = curvature.along(off) / huber(off).0;
+            let change = curvature.along(off) / weight;
             weights[2] *= change;
             residual[2] /= change;
         }
         rows = 3;
     }
     let camera_jacobian = observation.camera_jacobian.map(|by| whitening.apply(by));
-    let mut out = WeightedResidual { projection, camera_jacobian, residual, weights, rows };
+    let mut out = WeightedResidual { projection, camera_jacobian, residual, weights, rows, cost };
     if curvature != Curvature::Majorizing && length > 0.0 {
-        out.scale_along_residual((curvature.along(length) / huber(length).0).sqrt());
+        out.scale_along_residual((curvature.along(length) / weight).sqrt());
     }
     Some(out)
 }

@@ -12,6 +12,7 @@ use super::blocks::{Curvature, weighted_residual};
 use crate::multiview::landmark::Landmark;
 use crate::multiview::triangulation::minimize_landmark;
 use i2slam_compute::NormalEquations;
+use pulp::Arch;
 use rayon::prelude::*;
 
 /// Steps of every landmark.
@@ -20,27 +21,34 @@ const STEPS: usize = 3;
 impl Bundle {
     /// Moves every landmark to the least cost for the poses, in a few steps.
     pub(super) fn intersect_landmarks(&mut self) {
-        let landmarks = 0..self.landmarks.len();
-        self.landmarks = landmarks.into_par_iter().map(|i| self.intersect(i)).collect();
+        let (landmarks, arch) = (0..self.landmarks.len(), Arch::new());
+        let intersect = |i: usize| arch.dispatch(|| self.intersect(i));
+        self.landmarks = landmarks.into_par_iter().map(intersect).collect();
     }
 
+    #[inline(always)]
     fn intersect(&self, index: usize) -> Landmark {
         let start = self.landmarks[index];
-        minimize_landmark(start, STEPS, |landmark| Some(self.landmark_equations(index, landmark)))
-            .unwrap_or(start)
+        let equations = |landmark: &Landmark| Some(self.landmark_equations(index, landmark));
+        minimize_landmark(start, STEPS, equations).unwrap_or(start)
     }
 
     /// Sums over the observations of a landmark, at another place of it.
+    #[inline(always)]
     fn landmark_equations(&self, index: usize, landmark: &Landmark) -> NormalEquations<3> {
-        let mut sum = NormalEquations::default();
+        let (mut sum, mut cost) = (NormalEquations::default(), 0.0);
         for observation in &self.observations[index] {
             let weighted = weighted_residual(self, landmark, observation, Curvature::Majorizing);
-            let Some(w) = weighted else { continue };
+            let Some(w) = weighted else {
+                cost += observation.cost_behind_camera();
+                continue;
+            };
             for i in 0..w.rows {
                 sum.add(&w.projection.by_landmark[i], w.residual[i], w.weights[i]);
             }
+            cost += w.cost;
         }
-        sum.cost = self.landmark_cost(index, landmark);
+        sum.cost = cost;
         sum
     }
 }

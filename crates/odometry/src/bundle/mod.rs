@@ -111,6 +111,11 @@ impl BundleObservation {
                 + camera_change[1] * self.camera_jacobian[1][i]
         })
     }
+
+    /// Robust cost where the landmark is behind the camera.
+    fn cost_behind_camera(&self) -> f64 {
+        huber(BEHIND_CAMERA_ERROR).1 * if self.depth.is_some() { 2.0 } else { 1.0 }
+    }
 }
 
 impl Bundle {
@@ -175,30 +180,30 @@ impl Bundle {
 
     /// Robust cost of all observations [variances].
     fn cost(&self) -> f64 {
-        let part = |range: std::ops::Range<usize>| -> f64 {
-            range.map(|i| self.landmark_cost(i, &self.landmarks[i])).sum()
-        };
+        let part =
+            |range: std::ops::Range<usize>| -> f64 { range.map(|i| self.landmark_cost(i)).sum() };
         let mut total = self.relative_poses.iter().map(|f| f.cost(&self.poses)).sum::<f64>();
         reduce_in_order(self.landmarks.len(), LANDMARKS_PER_TASK, part, |sum| total += sum);
         if total.is_finite() { total } else { f64::INFINITY }
     }
 
-    /// Cost of all observations of a landmark, at another place of it.
-    fn landmark_cost(&self, index: usize, landmark: &Landmark) -> f64 {
+    /// Cost of all observations of a landmark.
+    fn landmark_cost(&self, index: usize) -> f64 {
+        let landmark = &self.landmarks[index];
         self.observations[index].iter().map(|o| self.observation_cost(landmark, o)).sum()
     }
 
     fn observation_cost(&self, landmark: &Landmark, observation: &BundleObservation) -> f64 {
         let pose = &self.poses[observation.pose];
-        let at = landmark.image_position(&self.camera, pose);
+        let Some(at) = landmark.image_position(&self.camera, pose) else {
+            return observation.cost_behind_camera();
+        };
         let seen = observation.corrected(self.camera_change);
         let whitening = &observation.whitening;
-        let length = |at: [f64; 2]| length(whitening.apply([at[0] - seen[0], at[1] - seen[1]]));
-        let of_position = huber(at.map_or(BEHIND_CAMERA_ERROR, length)).1;
+        let of_position = huber(length(whitening.apply([at[0] - seen[0], at[1] - seen[1]]))).1;
         let Some(depth) = &observation.depth else { return of_position };
-        let off = |z: f64| (z - depth.inverse).abs() / depth.sigma;
-        let inverse_depth = at.map(|_| landmark.inverse_depth_in(pose));
-        of_position + huber(inverse_depth.map_or(BEHIND_CAMERA_ERROR, off)).1
+        let off = (landmark.inverse_depth_in(pose) - depth.inverse).abs() / depth.sigma;
+        of_position + huber(off).1
     }
 
     fn apply_step(&self, step: &BundleStep) -> Self {

@@ -148,7 +148,8 @@ fn relative_pose(
         // Distinct matches first, all of them in the end (PROSAC; Chum and Matas 2005).
         let among = matches.len() * (hypothesis + HYPOTHESES / 10) / HYPOTHESES;
         let among = among.clamp(MIN_INLIERS, matches.len());
-        let sample: Vec<RayPair> = (0..SAMPLE_SIZE).map(|_| pairs[random.below(among)]).collect();
+        let chosen = random.distinct_below(among, SAMPLE_SIZE);
+        let sample: Vec<RayPair> = chosen.iter().map(|i| pairs[*i]).collect();
         let Some(found) = refine_relative_pose(&sample, start(&mut random), SAMPLE_STEPS, |_| 1.0)
         else {
             continue;

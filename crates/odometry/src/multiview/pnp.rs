@@ -83,8 +83,8 @@ pub(crate) fn pose_of_samples<'a>(
     let mut best: Option<(f64, Pose<f64>)> = None;
     let (mut hypothesis, mut sufficient) = (0, hypotheses);
     while hypothesis < sufficient {
-        let sample: Vec<Match<'_>> =
-            (0..SAMPLE_SIZE).map(|_| matches[random.below(matches.len())]).collect();
+        let chosen = random.distinct_below(matches.len(), SAMPLE_SIZE);
+        let sample: Vec<Match<'_>> = chosen.iter().map(|i| matches[*i]).collect();
         let pose = solve_pnp_minimal(camera, starts[hypothesis % starts.len()], &sample);
         hypothesis += 1;
         let errors = matches.iter().map(|m| registration_error(camera, &pose, m, 1.0));
@@ -105,11 +105,11 @@ pub(crate) fn pose_of_samples<'a>(
 }
 
 /// Number of samples among which [`GOOD_SAMPLES`] without an outlier are expected, where so many of the matches
-/// are known to agree; at most `most`.
+/// (no fewer than a sample has) are known to agree; at most `most`.
 fn sufficient_samples(agreeing: usize, matches: usize, most: usize) -> usize {
-    let share = agreeing as f64 / matches.max(1) as f64;
-    // None that agree give infinity, which is more than `most`.
-    (GOOD_SAMPLES / share.powi(SAMPLE_SIZE as i32)).min(most as f64) as usize
+    let share = |drawn: usize| agreeing.saturating_sub(drawn) as f64 / (matches - drawn) as f64;
+    // Fewer agreeing ones than a sample has give infinity, which is more than `most`.
+    (GOOD_SAMPLES / (0..SAMPLE_SIZE).map(share).product::<f64>()).min(most as f64) as usize
 }
 
 /// The least-squares pose of a minimal sample of matches, from `start` on.
@@ -204,7 +204,8 @@ mod tests {
         let mut random = Random::new(3);
         for agreeing in [100, 70, 40] {
             let samples = sufficient_samples(agreeing, 100, 100_000);
-            let mut is_good = || (0..SAMPLE_SIZE).all(|_| random.below(100) < agreeing);
+            let mut is_good =
+                || random.distinct_below(100, SAMPLE_SIZE).iter().all(|i| *i < agreeing);
             let good = (0..200 * samples).filter(|_| is_good()).count() as f64 / 200.0;
             assert!((good - GOOD_SAMPLES).abs() < 0.05 * GOOD_SAMPLES, "{agreeing}: {good}");
         }

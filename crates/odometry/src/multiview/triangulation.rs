@@ -103,6 +103,7 @@ pub(crate) fn refine_landmark(
 
 /// Levenberg-Marquardt on a landmark alone, in up to `steps` steps, from its normal equations and their cost;
 /// `None` where there are none at `start`.
+#[inline(always)]
 pub(crate) fn minimize_landmark(
     start: Landmark,
     steps: usize,

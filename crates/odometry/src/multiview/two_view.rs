@@ -82,8 +82,8 @@ pub(crate) fn estimate_relative_pose(
     let mut random = Random::new(ray_pairs.len() as u64);
     let mut best: Option<(f64, Pose<f64>)> = None;
     for _ in 0..HYPOTHESES {
-        let sample: Vec<RayPair> =
-            (0..SAMPLE_SIZE).map(|_| ray_pairs[random.below(ray_pairs.len())]).collect();
+        let chosen = random.distinct_below(ray_pairs.len(), SAMPLE_SIZE);
+        let sample: Vec<RayPair> = chosen.iter().map(|i| ray_pairs[*i]).collect();
         let start = start(&mut random);
         let Some(found) = refine_relative_pose(&sample, start, 12, |_| 1.0) else { continue };
         let cost = ray_pairs.iter().map(|r| sampson(&found, r).powi(2) * focal * focal);

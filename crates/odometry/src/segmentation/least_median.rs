@@ -39,15 +39,12 @@ impl AreaWeights {
 
     /// `size` points of as many cells; `None` where fewer have points.
     fn sample(&self, random: &mut Random, size: usize) -> Option<Vec<usize>> {
-        let mut chosen: Vec<usize> = Vec::new();
-        while chosen.len() < size.min(self.cells.len()) {
-            let cell = random.below(self.cells.len());
-            if !chosen.contains(&cell) {
-                chosen.push(cell);
-            }
+        if self.cells.len() < size {
+            return None;
         }
+        let chosen = random.distinct_below(self.cells.len(), size);
         let point = |cell: &usize| self.cells[*cell][random.below(self.cells[*cell].len())];
-        (chosen.len() == size).then(|| chosen.iter().map(point).collect())
+        Some(chosen.iter().map(point).collect())
     }
 
     /// Weighted median of the points' errors.
