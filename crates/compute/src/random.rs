@@ -81,6 +81,6 @@ mod tests {
             assert!(sample[0] != sample[1] && sample[0] != sample[2] && sample[1] != sample[2]);
             sample.iter().for_each(|index| seen[*index] += 1);
         }
-        assert!(seen.iter().all(|&n| (n as i32 - 600).abs() < 75), "{seen:?}");
+        assert!(seen.iter().all(|&n: &i32| (n - 600).abs() < 75), "{seen:?}");
     }
 }

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 pub enum DatasetError {
     /// The path given is not a folder.
     #[error(
-        "no file or folder {}: give a video, a .sens file, or the folder of a sequence (with \
+        "no file or folder {}: give a video, a .sens or .r3d file, or the folder of a sequence (with \
          rgb.txt and depth.txt, or colour/ and depth/)",
         path.display()
     )]

@@ -2,7 +2,7 @@
 //!
 //! A sequence is recognised by its files, see [`Layout`]: TUM RGB-D, ETH3D SLAM, ScanNet
 //! (extracted, or its `.sens` file), Replica as rendered for NICE-SLAM, 7-Scenes, nerfstudio's
-//! `transforms.json` with depth, plain folders of colour and depth images, and videos (decoded by
+//! `transforms.json` with depth, recordings of the apps Stray Scanner and Record3D, plain folders of colour and depth images, and videos (decoded by
 //! the program `ffmpeg`; a second track of 16-bit grey is depth).
 //!
 //! [`Frame`]s are delivered undistorted, cropped and scaled, with depth in metres.
@@ -21,6 +21,7 @@
 
 mod camera;
 mod error;
+mod file_part;
 mod formats;
 mod image;
 pub mod import;
@@ -32,8 +33,9 @@ mod video;
 
 pub use camera::EstimatedCamera;
 pub use error::DatasetError;
+pub use file_part::{FilePart, Packing};
 pub use formats::{
-    ByteRanges, DepthEntry, DroppedFrames, FrameEntry, Layout, camera_json, paper_frames,
+    DepthEntry, DroppedFrames, FrameEntry, FrameParts, Layout, camera_json, paper_frames,
     read_trajectory, write_trajectory,
 };
 pub use image::{MAX_PIXELS, read_image_size};

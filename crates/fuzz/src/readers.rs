@@ -19,11 +19,12 @@ pub(crate) struct Reader {
 }
 
 /// All readers.
-pub(crate) const READERS: [Reader; 21] = [
+pub(crate) const READERS: [Reader; 22] = [
     reader("tum", sequence),
     reader("eth3d", sequence),
     reader("scannet", sequence),
     reader("sens", sequence),
+    reader("record3d", sequence),
     reader("replica", sequence),
     reader("seven-scenes", sequence),
     reader("nerfstudio", sequence),

@@ -21,7 +21,7 @@ impl FrameFiles {
         if sequence.layout == Layout::Video {
             return Self::default();
         }
-        let files = sequence.entries.iter().filter(|entry| entry.byte_ranges.is_none());
+        let files = sequence.entries.iter().filter(|entry| entry.parts.is_none());
         let named = files.map(|entry| {
             let path = entry.colour.strip_prefix(dataset).unwrap_or(&entry.colour);
             let parts = path.iter().map(|part| part.to_string_lossy().into_owned());

@@ -21,7 +21,7 @@ use std::sync::Arc;
 
 #[derive(Args, Clone, Debug)]
 pub(crate) struct Run {
-    /// Sequence: a folder in one of the known layouts (docs/datasets.md), a .sens file, a video, which
+    /// Sequence: a folder in one of the known layouts (docs/datasets.md), a .sens or .r3d file, a video, which
     /// ffmpeg decodes, with depth where its second track is 16-bit grey, or a stream of one: an address
     /// such as rtsp://HOST/PATH, a named pipe, - for the standard input
     pub(crate) dataset: PathBuf,

@@ -43,6 +43,19 @@ fn first_folder(folder: &Path, names: &[&str]) -> Option<PathBuf> {
     names.iter().map(|name| folder.join(name)).find(|path| path.is_dir())
 }
 
+/// Whether a path is a file of an extension, in small or capital letters.
+pub(super) fn is_file_of(path: &Path, extension: &str) -> bool {
+    path.extension().is_some_and(|e| e.eq_ignore_ascii_case(extension)) && path.is_file()
+}
+
+/// The only file of a kind in a folder.
+pub(super) fn only_file(folder: &Path, is_kind: impl Fn(&Path) -> bool) -> Option<PathBuf> {
+    let files = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let mut files = files.map(|entry| entry.path()).filter(|path| is_kind(path));
+    let first = files.next()?;
+    files.next().is_none().then_some(first)
+}
+
 /// Lists both folders. Files without a time stamp in their name get `index / frame_rate` [s].
 pub(super) fn list(
     folder: &Path,

@@ -1,12 +1,12 @@
 //! The frames of a sequence before any image is read.
 
 use super::Layout;
+use crate::file_part::FilePart;
 use crate::image::DepthEncoding;
 use crate::text::counted;
 use crate::video::Video;
 use i2slam_geometry::{Pose, StampedPose};
 use serde::Serialize;
-use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 /// Files and time stamps of one frame.
@@ -22,8 +22,8 @@ pub struct FrameEntry {
     pub colour: PathBuf,
     /// Its depth image; `None` for a frame without.
     pub depth: Option<DepthEntry>,
-    /// Byte ranges of the images in their files; `None`: each image is a whole file.
-    pub byte_ranges: Option<ByteRanges>,
+    /// Parts of the files that are the images; `None`: each image is a whole file.
+    pub parts: Option<FrameParts>,
 }
 
 /// File and time stamp of a depth image.
@@ -35,28 +35,43 @@ pub struct DepthEntry {
     pub index: usize,
     /// Time stamp [s]; the colour image's where depth has none of its own.
     pub timestamp: f64,
+    /// File of the confidence of every reading, where 0 is the least, or the archive with it.
+    pub confidence: Option<PathBuf>,
 }
 
-/// Byte ranges of the two images of a frame in one file.
+impl DepthEntry {
+    /// Depth of an image file with a time stamp [s].
+    pub(super) fn of_file(path: PathBuf, timestamp: f64) -> Self {
+        Self { path, index: 0, timestamp, confidence: None }
+    }
+}
+
+/// Parts of a file that are the images of a frame.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct ByteRanges {
+pub struct FrameParts {
     /// Colour image.
-    pub colour: Range<u64>,
+    pub colour: FilePart,
     /// Depth image.
-    pub depth: Range<u64>,
+    pub depth: Option<FilePart>,
+    /// Confidence of depth.
+    pub confidence: Option<FilePart>,
 }
 
 impl FrameEntry {
-    pub(crate) fn colour_range(&self) -> Option<&Range<u64>> {
-        self.byte_ranges.as_ref().map(|ranges| &ranges.colour)
+    pub(crate) fn colour_part(&self) -> Option<&FilePart> {
+        self.parts.as_ref().map(|parts| &parts.colour)
     }
 
     pub(crate) fn depth_path(&self) -> Option<&Path> {
         self.depth.as_ref().map(|depth| depth.path.as_path())
     }
 
-    pub(crate) fn depth_range(&self) -> Option<&Range<u64>> {
-        self.byte_ranges.as_ref().map(|ranges| &ranges.depth)
+    pub(crate) fn depth_part(&self) -> Option<&FilePart> {
+        self.parts.as_ref()?.depth.as_ref()
+    }
+
+    pub(crate) fn confidence_part(&self) -> Option<&FilePart> {
+        self.parts.as_ref()?.confidence.as_ref()
     }
 
     /// A frame whose depth, if any, has the colour's time stamp, both images whole files.
@@ -66,8 +81,8 @@ impl FrameEntry {
         colour: PathBuf,
         depth: Option<PathBuf>,
     ) -> Self {
-        let depth = depth.map(|path| DepthEntry { path, index: 0, timestamp });
-        Self { index, image_index, timestamp, colour, depth, byte_ranges: None }
+        let depth = depth.map(|path| DepthEntry::of_file(path, timestamp));
+        Self { index, image_index, timestamp, colour, depth, parts: None }
     }
 }
 
@@ -99,8 +114,6 @@ pub(crate) struct Listing {
     /// True poses that came with the frames.
     pub(crate) poses: Vec<StampedPose>,
     pub(crate) depth_encoding: DepthEncoding,
-    /// Folder of pictures of the confidence of depth, with the names of depth pictures: 0 is the least.
-    pub(crate) confidence: Option<PathBuf>,
     /// Decoder of the images, if the sequence is a video.
     pub(crate) video: Option<Video>,
     pub(crate) warnings: Vec<String>,
@@ -118,7 +131,6 @@ impl Listing {
             ground_truth: None,
             poses: Vec::new(),
             depth_encoding: DepthEncoding::Png,
-            confidence: None,
             video: None,
             warnings: Vec::new(),
         }

@@ -12,6 +12,7 @@ pub(crate) mod nerfstudio;
 pub(crate) mod npy;
 mod npz;
 mod poses;
+mod record3d;
 mod replica;
 mod scannet;
 mod sens;
@@ -19,9 +20,10 @@ mod seven_scenes;
 mod stray_scanner;
 mod tum;
 mod video;
+mod zip;
 
 pub use camera_file::camera_json;
-pub use listing::{ByteRanges, DepthEntry, DroppedFrames, FrameEntry};
+pub use listing::{DepthEntry, DroppedFrames, FrameEntry, FrameParts};
 pub use scannet::paper_frames;
 pub use tum::{read_trajectory, write_trajectory};
 
@@ -39,6 +41,10 @@ use crate::video::is_video;
 use crate::{DatasetError, OpenOptions};
 use nerfstudio::TransformsFile;
 use std::path::{Path, PathBuf};
+
+/// Longer side of frames of telephones with LiDAR, unless options say otherwise \[px\]: two and a half
+/// times that of depth.
+const MAX_TELEPHONE_SIDE: usize = 640;
 
 /// Format of a sequence on disk. See docs/datasets.md for each.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -60,6 +66,8 @@ pub enum Layout {
     Nerfstudio,
     /// The app Stray Scanner: `rgb.mp4`, `depth/`, `camera_matrix.csv`.
     StrayScanner,
+    /// The app Record3D: one `.r3d` file, or the folder that it unpacks to.
+    Record3d,
     /// A colour folder beside a depth folder, or colour images alone.
     Plain,
     /// A video file; its second track is depth where it is 16-bit grey.
@@ -68,9 +76,10 @@ pub enum Layout {
 
 impl Layout {
     /// All layouts, in the order in which they are looked for.
-    pub const ALL: [Self; 10] = [
+    pub const ALL: [Self; 11] = [
         Self::Nerfstudio,
         Self::StrayScanner,
+        Self::Record3d,
         Self::Replica,
         Self::SevenScenes,
         Self::ScanNet,
@@ -103,6 +112,7 @@ impl Layout {
             Self::SevenScenes => ("7-Scenes", "frame-*.color.png, frame-*.depth.png"),
             Self::Nerfstudio => ("nerfstudio", "transforms.json with depth_file_path"),
             Self::StrayScanner => ("Stray Scanner", "rgb.mp4, depth/, camera_matrix.csv"),
+            Self::Record3d => ("Record3D", "one .r3d file (or its folder), or metadata, rgbd/"),
             Self::Plain => {
                 ("colour and depth folders", "colour/ (color/, rgb/, images/), depth/, camera.json")
             }
@@ -149,12 +159,13 @@ pub(crate) enum DetectedLayout {
     SevenScenes,
     Nerfstudio(TransformsFile),
     StrayScanner(PathBuf),
+    Record3d(record3d::Recording),
     Plain(folders::ImageFolders),
     Video,
 }
 
 impl DetectedLayout {
-    /// Recognises the layout of `path`, an existing folder, `.sens` file or video.
+    /// Recognises the layout of `path`, an existing folder, `.sens` or `.r3d` file or video.
     ///
     /// With `colour_only`, sequences without depth are accepted where none with depth fits.
     pub(crate) fn detect(path: &Path, colour_only: bool) -> Result<Self, DatasetError> {
@@ -176,6 +187,9 @@ impl DetectedLayout {
     fn with_depth(path: &Path) -> Result<Option<Self>, DatasetError> {
         if is_video(path) {
             return Ok(Some(Self::Video));
+        }
+        if let Some(recording) = record3d::Recording::find(path)? {
+            return Ok(Some(Self::Record3d(recording)));
         }
         if path.is_file() {
             return sens::SensFile::open(path).map(Self::Sens).map(Some);
@@ -218,6 +232,7 @@ impl DetectedLayout {
             Self::SevenScenes => seven_scenes::DEFAULTS,
             Self::Nerfstudio(file) => file.defaults(),
             Self::StrayScanner(_) => stray_scanner::DEFAULTS,
+            Self::Record3d(recording) => recording.defaults(),
             Self::Video => video::DEFAULTS,
             Self::Tum | Self::Eth3d(_) | Self::Plain(_) => FormatDefaults::TUM,
         }
@@ -226,7 +241,10 @@ impl DetectedLayout {
     /// The options with what is usual for this layout, where it is not given.
     pub(crate) fn with_usual_options(&self, options: &OpenOptions) -> OpenOptions {
         match self {
-            Self::StrayScanner(_) => stray_scanner::with_usual_size(options),
+            Self::StrayScanner(_) | Self::Record3d(_) => {
+                let usual = (options.scale == 1.0).then_some(MAX_TELEPHONE_SIDE);
+                OpenOptions { max_side: options.max_side.or(usual), ..options.clone() }
+            }
             _ => options.clone(),
         }
     }
@@ -242,6 +260,7 @@ impl DetectedLayout {
             Self::SevenScenes => Ok(Some(seven_scenes::calibration())),
             Self::Nerfstudio(file) => file.calibration().map(Some),
             Self::StrayScanner(folder) => stray_scanner::calibration(folder).map(Some),
+            Self::Record3d(recording) => recording.calibration().map(Some),
         }
     }
 
@@ -266,6 +285,7 @@ impl DetectedLayout {
             Self::SevenScenes => seven_scenes::list(path, options, frame_rate),
             Self::Nerfstudio(file) => file.list(options, frame_rate),
             Self::StrayScanner(folder) => stray_scanner::list(folder, options, frame_rate),
+            Self::Record3d(recording) => recording.list(options, frame_rate),
             Self::Plain(folders) => folders::list(path, folders, options, frame_rate),
             Self::Video => video::list(path, options, frame_rate),
         }

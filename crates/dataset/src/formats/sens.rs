@@ -3,10 +3,12 @@
 //! Little-endian, version 4: a header, then for every frame the pose `world_from_camera` (16
 //! `f32` in rows), two time stamps [µs], two sizes [bytes], and the two images.
 
+use super::folders::{is_file_of, only_file};
 use super::poses::pose_from_matrix;
 use super::scannet::{self, border_warning, from_intrinsics, intrinsics_of_matrix};
-use super::{ByteRanges, DepthEntry, FrameEntry, Layout, Listing, unknown_layout};
+use super::{DepthEntry, FrameEntry, FrameParts, Layout, Listing, unknown_layout};
 use crate::camera::{Calibration, FormatDefaults};
+use crate::file_part::FilePart;
 use crate::image::{DepthEncoding, MAX_DEFLATE_RATIO, check_pixels};
 use crate::{DatasetError, OpenOptions};
 use std::fs::File;
@@ -27,21 +29,18 @@ pub(crate) struct SensFile {
 
 /// Path of the only `.sens` file in a folder.
 pub(super) fn find(folder: &Path) -> Option<PathBuf> {
-    let files = std::fs::read_dir(folder).into_iter().flatten().flatten();
-    let mut files = files.map(|entry| entry.path()).filter(|path| is_sens(path));
-    let first = files.next()?;
-    files.next().is_none().then_some(first)
+    only_file(folder, is_sens)
 }
 
 fn is_sens(path: &Path) -> bool {
-    path.extension().is_some_and(|e| e.eq_ignore_ascii_case("sens")) && path.is_file()
+    is_file_of(path, "sens")
 }
 
 impl SensFile {
     /// Reads the header and the position of every frame.
     pub(super) fn open(path: &Path) -> Result<Self, DatasetError> {
         if !is_sens(path) {
-            let found = "a file that is no .sens and no video".into();
+            let found = "a file that is no .sens, no .r3d and no video".into();
             return Err(unknown_layout(path, found, false));
         }
         let mut reader = SensReader::open(path)?;
@@ -96,14 +95,11 @@ impl SensFile {
             image_index: index,
             timestamp: time(index),
             colour: self.path.clone(),
-            depth: Some(DepthEntry {
-                path: self.path.clone(),
-                index: 0,
-                timestamp: depth_time(index),
-            }),
-            byte_ranges: Some(ByteRanges {
-                colour: frame.colour.clone(),
-                depth: frame.depth.clone(),
+            depth: Some(DepthEntry::of_file(self.path.clone(), depth_time(index))),
+            parts: Some(FrameParts {
+                colour: FilePart::stored(frame.colour.clone()),
+                depth: Some(FilePart::stored(frame.depth.clone())),
+                confidence: None,
             }),
         };
         let entries: Vec<FrameEntry> = self.frames.iter().enumerate().map(entry).collect();

@@ -17,22 +17,12 @@ use std::path::{Path, PathBuf};
 pub(super) const DEFAULTS: FormatDefaults =
     FormatDefaults { depth_scale: 1000.0, grid: DepthGrid::ResizedToColour, ..FormatDefaults::TUM };
 
-/// Longer side of delivered frames, unless options say otherwise \[px\]: two and a half times that of
-/// depth.
-const MAX_SIDE: usize = 640;
-
 const VIDEO: &str = "rgb.mp4";
 const CAMERA: &str = "camera_matrix.csv";
 
 /// True if a folder holds such a recording.
 pub(super) fn is_recording(folder: &Path) -> bool {
     [VIDEO, CAMERA, "depth"].iter().all(|name| is_present(&folder.join(name)))
-}
-
-/// The options with the usual size of frames, where none is given.
-pub(super) fn with_usual_size(options: &OpenOptions) -> OpenOptions {
-    let usual = (options.scale == 1.0).then_some(MAX_SIDE);
-    OpenOptions { max_side: options.max_side.or(usual), ..options.clone() }
 }
 
 /// The camera of the colour pictures: a matrix of three rows.
@@ -80,11 +70,14 @@ pub(super) fn list(
     let end = options.frames.as_ref().map(|range| range.end);
     let part = VideoPart { end, depth: None, frame_rate };
     let VideoListing { video, timestamps, warnings, .. } = Video::open(&path, part)?;
+    let confidence_of = |depth: &PathBuf| {
+        let file = folder.join("confidence").join(depth.file_name()?);
+        is_present(&file).then_some(file)
+    };
     let entry = |(index, timestamp): (usize, &f64)| {
         let depth = depth_files.get(&(index as u64)).map(|path| DepthEntry {
-            path: path.clone(),
-            index: 0,
-            timestamp: *timestamp,
+            confidence: confidence_of(path),
+            ..DepthEntry::of_file(path.clone(), *timestamp)
         });
         let colour = path.clone();
         FrameEntry { depth, ..FrameEntry::synchronous((index, index), *timestamp, colour, None) }
@@ -105,13 +98,8 @@ pub(super) fn list(
         );
         return Err(DatasetError::file(&depth_folder, reason));
     }
-    let confidence = Some(folder.join("confidence")).filter(|folder| is_present(folder));
-    let mut listing = Listing {
-        video: Some(video),
-        confidence: confidence.filter(|_| !options.colour_only),
-        warnings,
-        ..Listing::new(Layout::StrayScanner, entries)
-    };
+    let mut listing =
+        Listing { video: Some(video), warnings, ..Listing::new(Layout::StrayScanner, entries) };
     listing.drop_without_depth(without_depth, "no depth image of that number");
     Ok(listing)
 }

@@ -203,7 +203,7 @@ fn entries(association: &Association, stamped: &StampedImages) -> Vec<FrameEntry
     let entry = |(index, &(i, j)): (usize, &(usize, Option<usize>))| {
         let (timestamp, colour) = stamped.colour[i].clone();
         let depth = stamped.depth.as_ref().zip(j).map(|(files, j)| files[j].clone());
-        let depth = depth.map(|(timestamp, path)| DepthEntry { path, index: 0, timestamp });
+        let depth = depth.map(|(timestamp, path)| DepthEntry::of_file(path, timestamp));
         FrameEntry { depth, ..FrameEntry::synchronous((index, i), timestamp, colour, None) }
     };
     association.pairs.iter().enumerate().map(entry).collect()

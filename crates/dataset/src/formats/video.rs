@@ -60,6 +60,7 @@ pub(super) fn list(
             path: path.to_path_buf(),
             index: j,
             timestamp: stamps[j],
+            confidence: None,
         });
         let colour = path.to_path_buf();
         FrameEntry { depth, ..FrameEntry::synchronous((index, i), timestamps[i], colour, None) }

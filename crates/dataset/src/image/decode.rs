@@ -1,13 +1,14 @@
-//! Image decoding: PNG (every kind) and JPEG for colour, 16-bit PNG or raw 16-bit values for depth,
-//! from whole files or byte ranges. The size is read first, so that no image of another size than
+//! Image decoding: PNG (every kind) and JPEG for colour, 16-bit PNG or raw values for depth, from whole
+//! files or parts of them. The size is read first, so that no image of another size than
 //! expected is decoded.
 
 use super::header::{ImageFormat, ImageHeader, MAX_PIXELS, check_pixels, jpeg_error, png_error};
+use super::lzfse::decompress_lzfse;
 use crate::DatasetError;
+use crate::file_part::FilePart;
 use i2slam_geometry::Image;
 use png::{BitDepth, ColorType, Decoder, Limits, Transformations};
 use std::io::Cursor;
-use std::ops::Range;
 use std::path::Path;
 use zune_jpeg::JpegDecoder;
 use zune_jpeg::zune_core::{bytestream::ZCursor, colorspace::ColorSpace, options::DecoderOptions};
@@ -28,7 +29,12 @@ pub(crate) enum DepthEncoding {
     Raw { width: usize, height: usize },
     /// Raw values, deflated (zlib).
     Zlib { width: usize, height: usize },
+    /// Raw 32-bit floats [m], compressed by LZFSE; not a number where there is no reading.
+    LzfseMetres { width: usize, height: usize },
 }
+
+/// Value of one metre in depth that was stored as floats: steps of a quarter of a millimetre up to 16 m.
+pub(crate) const METRES_AS_INTEGERS: f64 = 4000.0;
 
 /// Size that an image must have.
 #[derive(Clone, Copy, Debug)]
@@ -51,18 +57,14 @@ impl ExpectedSize<'_> {
     }
 }
 
-/// Reads a whole file, or `range` of it, of at most `limit` bytes.
-fn read_bytes(
-    path: &Path,
-    range: Option<&Range<u64>>,
-    limit: usize,
-) -> Result<Vec<u8>, DatasetError> {
-    let bytes = match range {
+/// Reads a whole file, or a part of it, of at most `limit` bytes.
+fn read_bytes(path: &Path, part: Option<&FilePart>, limit: usize) -> Result<Vec<u8>, DatasetError> {
+    let bytes = match part {
         None => i2slam_storage::read(path, limit as u64),
-        Some(range) if range.end.saturating_sub(range.start) > limit as u64 => {
+        Some(part) if part.length() > limit as u64 => {
             return Err(DatasetError::image(path, "damaged: too many bytes for its size"));
         }
-        Some(range) => i2slam_storage::read_range(path, range.clone()),
+        Some(part) => part.read(path, limit as u64),
     };
     bytes.map_err(|e| DatasetError::read(path, e))
 }
@@ -70,13 +72,13 @@ fn read_bytes(
 /// Reads an encoded image of the expected size.
 fn read_image(
     path: &Path,
-    range: Option<&Range<u64>>,
+    part: Option<&FilePart>,
     expected: ExpectedSize,
 ) -> Result<(Vec<u8>, ImageFormat), DatasetError> {
-    let header = ImageHeader::read(path, range)?;
+    let header = ImageHeader::read(path, part)?;
     expected.check(path, header.size)?;
     header.check_length(path)?;
-    Ok((read_bytes(path, range, expected.max_bytes())?, header.format))
+    Ok((read_bytes(path, part, expected.max_bytes())?, header.format))
 }
 
 /// Width and height [px] of a PNG or JPEG file, from its header alone. An image of more than
@@ -89,9 +91,9 @@ pub fn read_image_size(path: &Path) -> Result<(usize, usize), DatasetError> {
 /// than its bytes can hold, is an error.
 pub(crate) fn image_size(
     path: &Path,
-    range: Option<&Range<u64>>,
+    part: Option<&FilePart>,
 ) -> Result<(usize, usize), DatasetError> {
-    let header = ImageHeader::read(path, range)?;
+    let header = ImageHeader::read(path, part)?;
     check_pixels(path, header.size)?;
     header.check_length(path)?;
     Ok(header.size)
@@ -101,10 +103,10 @@ pub(crate) fn image_size(
 /// another size is an error, and not decoded.
 pub(crate) fn decode_colour(
     path: &Path,
-    range: Option<&Range<u64>>,
+    part: Option<&FilePart>,
     expected: ExpectedSize,
 ) -> Result<Image<f32>, DatasetError> {
-    let (bytes, format) = read_image(path, range, expected)?;
+    let (bytes, format) = read_image(path, part, expected)?;
     match format {
         ImageFormat::Png => colour_from_png(path, &bytes, expected),
         ImageFormat::Jpeg => colour_from_jpeg(path, &bytes, expected),
@@ -114,32 +116,37 @@ pub(crate) fn decode_colour(
 /// Width and height [px] of a depth image.
 pub(crate) fn depth_size(
     path: &Path,
-    range: Option<&Range<u64>>,
+    part: Option<&FilePart>,
     code: DepthEncoding,
 ) -> Result<(usize, usize), DatasetError> {
     match code {
-        DepthEncoding::Png => image_size(path, range),
-        DepthEncoding::Raw { width, height } | DepthEncoding::Zlib { width, height } => {
-            Ok((width, height))
-        }
+        DepthEncoding::Png => image_size(path, part),
+        DepthEncoding::Raw { width, height }
+        | DepthEncoding::Zlib { width, height }
+        | DepthEncoding::LzfseMetres { width, height } => Ok((width, height)),
     }
 }
 
-/// Decodes a depth image to 1 plane of the stored 16-bit values. An image of another size is an
-/// error, and not decoded.
+/// Decodes a depth image to 1 plane of the stored 16-bit values, or [`METRES_AS_INTEGERS`]. An image of
+/// another size is an error, and not decoded.
 pub(crate) fn decode_depth(
     path: &Path,
-    range: Option<&Range<u64>>,
+    part: Option<&FilePart>,
     code: DepthEncoding,
     expected: ExpectedSize,
 ) -> Result<Image<u16>, DatasetError> {
     if code == DepthEncoding::Png {
-        return depth_from_png(path, range, expected);
+        return depth_from_png(path, part, expected);
     }
-    let (width, height) = depth_size(path, range, code)?;
+    let (width, height) = depth_size(path, part, code)?;
     expected.check(path, (width, height))?;
-    let bytes = read_bytes(path, range, expected.max_bytes())?;
+    let bytes = read_bytes(path, part, expected.max_bytes())?;
     let bytes = match code {
+        DepthEncoding::LzfseMetres { .. } => {
+            let data = decompress_lzfse(path, &bytes, 4 * width * height)?;
+            let data = data.chunks_exact(4).map(|b| integer_of_metres([b[0], b[1], b[2], b[3]]));
+            return Ok(Image { width, height, channels: 1, data: data.collect() });
+        }
         DepthEncoding::Zlib { .. } => {
             let limit = 2 * width * height;
             let inflated = miniz_oxide::inflate::decompress_to_vec_zlib_with_limit(&bytes, limit);
@@ -155,12 +162,34 @@ pub(crate) fn decode_depth(
     Ok(Image { width, height, channels: 1, data })
 }
 
+/// A little-endian float of metres in steps of [`METRES_AS_INTEGERS`]; 0 where it is no depth, or too far.
+fn integer_of_metres(bytes: [u8; 4]) -> u16 {
+    let steps = (f64::from(f32::from_le_bytes(bytes)) * METRES_AS_INTEGERS).round();
+    if (1.0..=f64::from(u16::MAX)).contains(&steps) { steps as u16 } else { 0 }
+}
+
+/// Decodes the confidence of every reading of depth: true where it is the least, 0.
+pub(crate) fn decode_doubtful(
+    path: &Path,
+    part: Option<&FilePart>,
+    code: DepthEncoding,
+    expected: ExpectedSize,
+) -> Result<Vec<bool>, DatasetError> {
+    if let DepthEncoding::LzfseMetres { width, height } = code {
+        let bytes = read_bytes(path, part, expected.max_bytes())?;
+        let bytes = decompress_lzfse(path, &bytes, width * height)?;
+        return Ok(bytes.into_iter().map(|confidence| confidence == 0).collect());
+    }
+    let confidence = decode_colour(path, part, expected)?;
+    Ok(confidence.plane(0).iter().map(|confidence| *confidence == 0.0).collect())
+}
+
 fn depth_from_png(
     path: &Path,
-    range: Option<&Range<u64>>,
+    part: Option<&FilePart>,
     expected: ExpectedSize,
 ) -> Result<Image<u16>, DatasetError> {
-    let (bytes, format) = read_image(path, range, expected)?;
+    let (bytes, format) = read_image(path, part, expected)?;
     if matches!(format, ImageFormat::Jpeg) {
         return Err(DatasetError::image(path, "depth is a JPEG, expected a 16-bit grey PNG"));
     }

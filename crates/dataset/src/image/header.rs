@@ -1,9 +1,8 @@
 //! Headers of encoded images: format and size, read before anything is decoded.
 
 use crate::DatasetError;
-use std::fs::File;
-use std::io::{BufRead, BufReader, Seek, SeekFrom};
-use std::ops::Range;
+use crate::file_part::{FilePart, Packing};
+use std::io::{BufRead, BufReader, Cursor, Seek, SeekFrom};
 use std::path::Path;
 use zune_jpeg::JpegDecoder;
 use zune_jpeg::zune_core::options::DecoderOptions;
@@ -14,6 +13,9 @@ pub const MAX_PIXELS: usize = 1 << 27;
 
 /// Largest ratio of deflated to stored bytes that the format allows (zlib's technical notes).
 pub(crate) const MAX_DEFLATE_RATIO: u64 = 1032;
+
+/// Largest image that is inflated to read its header [bytes].
+const MAX_INFLATED: u64 = 64 << 20;
 
 /// Longest side that a JPEG can have [px].
 const MAX_JPEG_SIDE: usize = u16::MAX as usize;
@@ -37,15 +39,28 @@ pub(super) struct ImageHeader {
 }
 
 impl ImageHeader {
-    /// Reads the header of a whole file, or of `range` of it.
-    pub(super) fn read(path: &Path, range: Option<&Range<u64>>) -> Result<Self, DatasetError> {
+    /// Reads the header of a whole file, or of a part of it.
+    pub(super) fn read(path: &Path, part: Option<&FilePart>) -> Result<Self, DatasetError> {
         let failed = |e| DatasetError::read(path, e);
+        if let Some(part) = part.filter(|part| part.packing != Packing::Stored) {
+            let bytes = part.read(path, MAX_INFLATED).map_err(failed)?;
+            return Self::of_reader(path, Cursor::new(bytes), part.length());
+        }
         let file = i2slam_storage::open(path).map_err(failed)?;
         let end = file.metadata().map_err(failed)?.len();
-        let range = range.cloned().unwrap_or(0..end);
+        let range = part.map_or(0..end, |part| part.range.clone());
         let mut file = BufReader::new(file);
         file.seek(SeekFrom::Start(range.start)).map_err(failed)?;
-        let format = match file.fill_buf().map_err(failed)? {
+        Self::of_reader(path, file, range.end.saturating_sub(range.start))
+    }
+
+    /// Reads the header at the place of a reader, of so many bytes.
+    fn of_reader(
+        path: &Path,
+        mut file: impl BufRead + Seek,
+        length: u64,
+    ) -> Result<Self, DatasetError> {
+        let format = match file.fill_buf().map_err(|e| DatasetError::read(path, e))? {
             [0x89, b'P', b'N', b'G', ..] => ImageFormat::Png,
             [0xff, 0xd8, 0xff, ..] => ImageFormat::Jpeg,
             [] => return Err(DatasetError::image(path, "the file is empty, expected an image")),
@@ -55,7 +70,6 @@ impl ImageHeader {
             ImageFormat::Png => png_size(path, file)?,
             ImageFormat::Jpeg => (jpeg_size(path, file)?, 0),
         };
-        let length = range.end.saturating_sub(range.start);
         Ok(Self { format, size, length, needed })
     }
 
@@ -85,7 +99,7 @@ pub(crate) fn check_pixels(
 }
 
 /// Size of a PNG, and the bytes that it takes at least.
-fn png_size(path: &Path, file: BufReader<File>) -> Result<((usize, usize), u64), DatasetError> {
+fn png_size(path: &Path, file: impl BufRead + Seek) -> Result<((usize, usize), u64), DatasetError> {
     let mut decoder = png::Decoder::new(file);
     let info = decoder.read_header_info().map_err(|e| png_error(path, &e))?;
     let pixels = u64::from(info.width) * u64::from(info.height);
@@ -93,7 +107,7 @@ fn png_size(path: &Path, file: BufReader<File>) -> Result<((usize, usize), u64),
     Ok(((info.width as usize, info.height as usize), bits / 8 / MAX_DEFLATE_RATIO))
 }
 
-fn jpeg_size(path: &Path, file: BufReader<File>) -> Result<(usize, usize), DatasetError> {
+fn jpeg_size(path: &Path, file: impl BufRead + Seek) -> Result<(usize, usize), DatasetError> {
     let options = DecoderOptions::default();
     let options = options.set_max_width(MAX_JPEG_SIDE).set_max_height(MAX_JPEG_SIDE);
     let mut decoder = JpegDecoder::new_with_options(file, options);

@@ -45,7 +45,7 @@ pub(super) fn recording_cameras(
         let probes = entries.iter().filter_map(|entry| Some((entry, entry.depth_path()?)));
         let sizes = probes
             .take(SIZE_PROBES)
-            .filter_map(|(entry, path)| image::depth_size(path, entry.depth_range(), code).ok());
+            .filter_map(|(entry, path)| image::depth_size(path, entry.depth_part(), code).ok());
         most_common(&sizes.collect::<Vec<_>>()).unwrap_or((width, height))
     };
     Ok(match calibration.format.grid {
@@ -135,7 +135,7 @@ fn recorded_size(
 ) -> Result<(usize, usize), DatasetError> {
     let probes = entries.iter().take(SIZE_PROBES);
     let read = |entry: &FrameEntry| {
-        let size = image::image_size(&entry.colour, entry.colour_range())?;
+        let size = image::image_size(&entry.colour, entry.colour_part())?;
         Ok((entry.colour.clone(), orientation.apply_to_size(size)))
     };
     let (read, failed): (Vec<_>, Vec<_>) = probes.map(read).partition(Result::is_ok);

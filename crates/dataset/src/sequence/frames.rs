@@ -3,12 +3,12 @@
 use crate::DatasetError;
 use crate::camera::Orientation;
 use crate::formats::{DepthEntry, FrameEntry};
-use crate::image::{DepthEncoding, ExpectedSize, Resampler, decode_colour, decode_depth};
-use crate::text::is_present;
+use crate::image::{
+    DepthEncoding, ExpectedSize, Resampler, decode_colour, decode_depth, decode_doubtful,
+};
 use crate::video::Video;
 use i2slam_geometry::Image;
 use std::collections::VecDeque;
-use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, sync_channel};
 use std::thread::JoinHandle;
@@ -65,8 +65,6 @@ pub(crate) struct FrameLoader {
     pub(crate) max_depth: f64,
     /// Encoding of depth images.
     pub(crate) depth_encoding: DepthEncoding,
-    /// Folder of pictures of the confidence of depth, where readings of the least one, 0, do not count.
-    pub(crate) confidence: Option<PathBuf>,
     /// Depth image value that means "no reading", beside 0.
     pub(crate) invalid_depth: Option<u16>,
     /// Whether depth is not read.
@@ -87,7 +85,7 @@ impl FrameLoader {
                 // A transposition is its own inverse.
                 let size = self.orientation.apply_to_size(shown);
                 let expected = ExpectedSize { size, reference: "the other colour images" };
-                let stored = decode_colour(&entry.colour, entry.colour_range(), expected)?;
+                let stored = decode_colour(&entry.colour, entry.colour_part(), expected)?;
                 self.orientation.apply(stored)
             }
         };
@@ -113,7 +111,7 @@ impl FrameLoader {
         ExpectedSize { size, reference }
     }
 
-    /// Reads the depth image of a frame as it was recorded.
+    /// Reads the depth image of a frame as it was recorded, without readings of the least confidence.
     pub(super) fn recorded_depth(
         &self,
         entry: &FrameEntry,
@@ -123,30 +121,16 @@ impl FrameLoader {
             Some(video) => video.decode_depth(depth.index),
             None => {
                 let (encoding, expected) = (self.depth_encoding, self.expected_depth());
-                let image = decode_depth(&depth.path, entry.depth_range(), encoding, expected)?;
-                self.without_doubtful(image, &depth.path)
+                let mut image = decode_depth(&depth.path, entry.depth_part(), encoding, expected)?;
+                if let Some(file) = &depth.confidence {
+                    let part = entry.confidence_part();
+                    let doubtful = decode_doubtful(file, part, encoding, expected)?;
+                    let readings = image.data.iter_mut().zip(doubtful);
+                    readings.filter(|(_, is_doubtful)| *is_doubtful).for_each(|(z, _)| *z = 0);
+                }
+                Ok(image)
             }
         }
-    }
-
-    /// Depth of a file without the readings of least confidence, where a picture tells it.
-    fn without_doubtful(
-        &self,
-        mut depth: Image<u16>,
-        path: &Path,
-    ) -> Result<Image<u16>, DatasetError> {
-        let beside = self.confidence.as_deref().zip(path.file_name());
-        let Some(file) = beside.map(|(folder, name)| folder.join(name)).filter(|f| is_present(f))
-        else {
-            return Ok(depth);
-        };
-        let confidence = decode_colour(&file, None, self.expected_depth())?;
-        for (value, confidence) in depth.data.iter_mut().zip(confidence.plane(0)) {
-            if *confidence == 0.0 {
-                *value = 0;
-            }
-        }
-        Ok(depth)
     }
 
     /// Resamples recorded depth of a time [s] for a frame.

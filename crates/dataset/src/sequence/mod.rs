@@ -101,7 +101,7 @@ impl Sequence {
         Some(self.loader.video.as_ref()?.transfer()?.name())
     }
 
-    /// Opens a folder, a `.sens` file or a video. Reads lists, headers and a few depth images only;
+    /// Opens a folder, a `.sens` or `.r3d` file or a video. Reads lists, headers and a few depth images only;
     /// a video is decoded once.
     pub fn open(path: &Path, options: &OpenOptions) -> Result<Self, DatasetError> {
         options.validate()?;
@@ -148,7 +148,7 @@ impl Sequence {
         let entries = choose(listing.entries, options, &mut warnings)?;
         let video = listing.video;
         let first = entries.first().filter(|_| video.is_none());
-        let file = first.filter(|entry| entry.byte_ranges.is_none());
+        let file = first.filter(|entry| entry.parts.is_none());
         // Depth, poses and lists refer to images as stored, so only plain colour images are rotated.
         let exif = file.and_then(|entry| ExifHints::read(&entry.colour).orientation);
         let has_depth = entries.iter().any(|entry| entry.depth.is_some());
@@ -163,7 +163,7 @@ impl Sequence {
         }
         let calibration = calibration.refined_by_exif(first.map(|entry| entry.colour.as_path()));
         let turned = first.filter(|_| !orientation.is_identity());
-        let stored = turned.and_then(|e| image_size(&e.colour, e.colour_range()).ok());
+        let stored = turned.and_then(|e| image_size(&e.colour, e.colour_part()).ok());
         let calibration = match stored {
             Some(stored) => orientation.apply_to_calibration(calibration, stored),
             None => calibration,
@@ -180,7 +180,6 @@ impl Sequence {
             depth_scale: calibration.format.depth_scale,
             max_depth: options.max_depth.unwrap_or(f64::INFINITY),
             depth_encoding: listing.depth_encoding,
-            confidence: listing.confidence,
             invalid_depth: calibration.format.invalid_depth,
             colour_only: options.colour_only,
             orientation,

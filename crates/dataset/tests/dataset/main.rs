@@ -5,6 +5,7 @@ mod failures;
 mod formats;
 mod import;
 mod own_camera;
+mod record3d;
 mod scannet;
 mod sequences;
 mod stray_scanner;

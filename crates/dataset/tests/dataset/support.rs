@@ -167,3 +167,40 @@ pub(crate) fn jpeg_header(mut bytes: Vec<u8>, width: u16, height: u16) -> Vec<u8
     bytes[frame + 7..frame + 9].copy_from_slice(&width.to_be_bytes());
     bytes
 }
+
+/// A zip archive of members, stored or deflated.
+pub(crate) fn zip(members: &[(String, Vec<u8>)], deflate: bool) -> Vec<u8> {
+    let (mut out, mut table) = (Vec::new(), Vec::new());
+    for (name, bytes) in members {
+        let packed =
+            if deflate { miniz_oxide::deflate::compress_to_vec(bytes, 6) } else { bytes.clone() };
+        let mut record = vec![20, 0, 0, 0, if deflate { 8 } else { 0 }, 0, 0, 0, 0, 0];
+        record.extend(crc32fast::hash(bytes).to_le_bytes());
+        record.extend((packed.len() as u32).to_le_bytes());
+        record.extend((bytes.len() as u32).to_le_bytes());
+        record.extend((name.len() as u16).to_le_bytes());
+        let offset = out.len() as u32;
+        // numpy leaves room for 64-bit sizes before every member, not in the table.
+        let wide = [1, 0, 16, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0];
+        out.extend(b"PK\x03\x04");
+        out.extend(&record);
+        out.extend((wide.len() as u16).to_le_bytes());
+        out.extend(name.bytes());
+        out.extend(wide);
+        out.extend(packed);
+        table.extend(b"PK\x01\x02\x14\x03");
+        table.extend(&record);
+        table.extend([0; 12]);
+        table.extend(offset.to_le_bytes());
+        table.extend(name.bytes());
+    }
+    let place = out.len() as u32;
+    let count = (members.len() as u16).to_le_bytes();
+    out.extend(&table);
+    out.extend(b"PK\x05\x06\x00\x00\x00\x00");
+    out.extend([count, count].concat());
+    out.extend((table.len() as u32).to_le_bytes());
+    out.extend(place.to_le_bytes());
+    out.extend([0, 0]);
+    out
+}

@@ -5,6 +5,7 @@ mod arrays;
 mod colmap;
 mod imports;
 pub(crate) mod picture;
+mod record3d;
 mod results;
 mod scene;
 mod sens;

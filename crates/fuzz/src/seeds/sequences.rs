@@ -4,7 +4,7 @@ use super::picture::{
     SIZE, colour, colour_deep, colour_palette, depth, exif, jpeg, jpeg_progressive, pattern,
 };
 use super::scene::{INTRINSICS, matrix, position, stamp, trajectory, words};
-use super::{NamedSeed, files, sens};
+use super::{NamedSeed, files, record3d, sens};
 use crate::corpus::Files;
 
 const FRAMES: usize = 3;
@@ -27,6 +27,8 @@ pub(super) fn seeds() -> Vec<NamedSeed> {
         ("scannet", "extracted", scannet()),
         ("sens", "deflated", files([("scan.sens", &sens::bytes(1))])),
         ("sens", "raw", files([("scan.sens", &sens::bytes(0))])),
+        ("record3d", "archive", files([("scan.r3d", &record3d::archive())])),
+        ("record3d", "folder", record3d::folder()),
         ("replica", "scene", replica()),
         ("seven-scenes", "scene", seven_scenes()),
         ("nerfstudio", "depth", nerfstudio()),

@@ -21,7 +21,7 @@ use std::path::PathBuf;
 
 #[derive(Args, Debug)]
 pub(crate) struct Info {
-    /// Sequence: a folder in one of the known layouts (docs/datasets.md), a .sens file or a video;
+    /// Sequence: a folder in one of the known layouts (docs/datasets.md), a .sens or .r3d file or a video;
     /// or keyframes of another program (docs/import.md)
     pub(crate) dataset: PathBuf,
     /// Preset of the run: the paper's leave out frames that came too soon, and crop borders

@@ -2,7 +2,7 @@
 
 use super::assert_same;
 use super::scene::{HEIGHT, WIDTH, camera, look, pose, render, sequence, stamp};
-use crate::support::{Folder, assert_says, assert_warns, import};
+use crate::support::{Folder, assert_says, assert_warns, import, zip};
 use i2slam_dataset::OpenOptions;
 use i2slam_dataset::import::{ImportDepth, ImportFormat, ImportOptions, ImportedKeyframes};
 use i2slam_geometry::Vec3;
@@ -355,40 +355,8 @@ pub(super) fn npy(descr: &str, shape: &[usize], numbers: &[f64]) -> Vec<u8> {
     bytes
 }
 
-/// An archive of members, stored or deflated, as `np.savez` and `np.savez_compressed` write it.
+/// An archive of arrays, stored or deflated, as `np.savez` and `np.savez_compressed` write it.
 pub(super) fn npz(members: &[(&str, Vec<u8>)], deflate: bool) -> Vec<u8> {
-    let (mut out, mut table) = (Vec::new(), Vec::new());
-    for (name, bytes) in members {
-        let name = format!("{name}.npy");
-        let packed =
-            if deflate { miniz_oxide::deflate::compress_to_vec(bytes, 6) } else { bytes.clone() };
-        let mut record = vec![20, 0, 0, 0, if deflate { 8 } else { 0 }, 0, 0, 0, 0, 0];
-        record.extend(crc32fast::hash(bytes).to_le_bytes());
-        record.extend((packed.len() as u32).to_le_bytes());
-        record.extend((bytes.len() as u32).to_le_bytes());
-        record.extend((name.len() as u16).to_le_bytes());
-        let offset = out.len() as u32;
-        // numpy leaves room for 64-bit sizes before every member, not in the table.
-        let wide = [1, 0, 16, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0];
-        out.extend(b"PK\x03\x04");
-        out.extend(&record);
-        out.extend((wide.len() as u16).to_le_bytes());
-        out.extend(name.bytes());
-        out.extend(wide);
-        out.extend(packed);
-        table.extend(b"PK\x01\x02\x14\x03");
-        table.extend(&record);
-        table.extend([0; 12]);
-        table.extend(offset.to_le_bytes());
-        table.extend(name.bytes());
-    }
-    let place = out.len() as u32;
-    let count = (members.len() as u16).to_le_bytes();
-    out.extend(&table);
-    out.extend(b"PK\x05\x06\x00\x00\x00\x00");
-    out.extend([count, count].concat());
-    out.extend((table.len() as u32).to_le_bytes());
-    out.extend(place.to_le_bytes());
-    out.extend([0, 0]);
-    out
+    let named = |(name, bytes): &(&str, Vec<u8>)| (format!("{name}.npy"), bytes.clone());
+    zip(&members.iter().map(named).collect::<Vec<_>>(), deflate)
 }
