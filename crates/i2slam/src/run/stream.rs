@@ -13,6 +13,9 @@ use i2slam_dataset::{Frame, LiveSequence, Sequence};
 use i2slam_geometry::StampedPose;
 use std::sync::PoisonError;
 
+/// Part of a stream that may be tracked after its end without a note [s].
+const MAX_LAG: f64 = 1.0;
+
 /// A stream whose frames were tracked while they came.
 ///
 /// ```no_run
@@ -88,8 +91,13 @@ impl TrackedStream {
             true => Some(live.frames(first)?),
             false => None,
         };
-        let frames = (live.frames(&large)?, smaller);
-        Ok(Self::of_frames(&source, frames, (options, estimate_distortion), &context))
+        let mut late = 0;
+        let frames = live.frames(&large)?.inspect(|_| late += usize::from(live.has_ended()));
+        let settings = (options, estimate_distortion);
+        let tracked = Self::of_frames(&source, (frames, smaller), settings, &context);
+        let note = lag_note(late, &tracked.timestamps);
+        note.iter().for_each(|note| context.observer.note(note));
+        Ok(tracked)
     }
 
     /// Tracks frames in the size that is tracked until they end; others are the same in the size that is
@@ -170,6 +178,18 @@ impl TrackedStream {
         let is_same = stamps.eq(self.timestamps);
         self.frames.filter(|frames| is_same && frames.given().refused.is_empty())
     }
+}
+
+/// A note if poses came late: so many frames at the end of a stream were tracked after it had ended.
+fn lag_note(late: usize, timestamps: &[(f64, Option<f64>)]) -> Option<String> {
+    let in_time = timestamps.len().checked_sub(late + 1)?;
+    let lag = timestamps.last()?.0 - timestamps[in_time].0;
+    (lag > MAX_LAG).then(|| {
+        format!(
+            "poses fell behind: the last {lag:.1} s of the stream were tracked after it had ended; \
+             pictures of half the width and height take about a quarter of the time"
+        )
+    })
 }
 
 /// Time stamps of a frame and its depth [s].

@@ -164,3 +164,14 @@ fn a_map_of_late_depth_is_made_anew() {
     assert!(recorder.has_note("all frames are mapped again"));
     assert_eq!(indices(&outcome), (0..FRAMES).collect::<Vec<_>>());
 }
+
+#[test]
+fn poses_that_come_late_are_told() {
+    let stamps: Vec<(f64, Option<f64>)> = (0..60).map(|i| (0.05 * f64::from(i), None)).collect();
+    for late in [0, 1, 19] {
+        assert_eq!(lag_note(late, &stamps), None);
+    }
+    let note = lag_note(30, &stamps).expect("a second and a half");
+    assert!(note.contains("the last 1.5 s of the stream"), "{note}");
+    assert_eq!(lag_note(0, &[]), None);
+}
