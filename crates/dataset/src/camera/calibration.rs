@@ -22,6 +22,8 @@ pub(crate) enum DepthGrid {
 pub(crate) struct FormatDefaults {
     /// Depth image value of one metre.
     pub(crate) depth_scale: f64,
+    /// True where neither the format nor a file says so.
+    pub(crate) is_scale_assumed: bool,
     /// Frames a second.
     pub(crate) frame_rate: Option<f64>,
     /// Relation between colour and depth pixels.
@@ -31,13 +33,17 @@ pub(crate) struct FormatDefaults {
 }
 
 impl FormatDefaults {
-    /// TUM RGB-D, and whatever says nothing else.
+    /// TUM RGB-D.
     pub(crate) const TUM: Self = Self {
         depth_scale: 5000.0,
+        is_scale_assumed: false,
         frame_rate: None,
         grid: DepthGrid::Registered,
         invalid_depth: None,
     };
+
+    /// Whatever says nothing else.
+    pub(crate) const PLAIN: Self = Self { is_scale_assumed: true, ..Self::TUM };
 
     /// Defaults for a colour camera given by the user: depth intrinsics then follow from it.
     pub(crate) fn with_depth_on_colour_camera(self) -> Self {

@@ -99,8 +99,12 @@ fn parse_json(
     // Pixel centres at integers, as the constructor expects them.
     let shift = file.pixel_centre();
     let depth_scale = file.depth_scale.unwrap_or(defaults.depth_scale);
-    let format =
-        FormatDefaults { depth_scale, frame_rate: file.fps.or(defaults.frame_rate), ..defaults };
+    let format = FormatDefaults {
+        depth_scale,
+        is_scale_assumed: defaults.is_scale_assumed && file.depth_scale.is_none(),
+        frame_rate: file.fps.or(defaults.frame_rate),
+        ..defaults
+    };
     let Some([fx, fy, cx, cy]) = file.intrinsics(path, &keys)? else {
         return Ok(Calibration::assumed(format));
     };

@@ -234,7 +234,8 @@ impl DetectedLayout {
             Self::StrayScanner(_) => stray_scanner::DEFAULTS,
             Self::Record3d(recording) => recording.defaults(),
             Self::Video => video::DEFAULTS,
-            Self::Tum | Self::Eth3d(_) | Self::Plain(_) => FormatDefaults::TUM,
+            Self::Tum | Self::Eth3d(_) => FormatDefaults::TUM,
+            Self::Plain(_) => FormatDefaults::PLAIN,
         }
     }
 

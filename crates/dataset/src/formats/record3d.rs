@@ -134,6 +134,7 @@ impl Recording {
     pub(super) fn defaults(&self) -> FormatDefaults {
         FormatDefaults {
             depth_scale: METRES_AS_INTEGERS,
+            is_scale_assumed: false,
             frame_rate: self.metadata.fps.filter(|fps| fps.is_finite() && *fps > 0.0),
             grid: DepthGrid::ResizedToColour,
             invalid_depth: None,

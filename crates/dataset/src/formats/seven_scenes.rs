@@ -13,6 +13,7 @@ use std::path::Path;
 /// on its grid: 585 px, the value that the publishers used for tracking.
 pub(super) const DEFAULTS: FormatDefaults = FormatDefaults {
     depth_scale: 1000.0,
+    is_scale_assumed: false,
     frame_rate: Some(30.0),
     grid: DepthGrid::OwnCamera(Some([585.0, 585.0, 320.0, 240.0])),
     invalid_depth: Some(u16::MAX),

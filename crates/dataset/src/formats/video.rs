@@ -10,7 +10,7 @@ use std::path::Path;
 
 /// Depth in millimetres, as depth cameras give it.
 pub(super) const DEFAULTS: FormatDefaults =
-    FormatDefaults { depth_scale: 1000.0, ..FormatDefaults::TUM };
+    FormatDefaults { depth_scale: 1000.0, ..FormatDefaults::PLAIN };
 
 /// Time after the last colour picture of a part for which its depth is looked for, beside the
 /// tolerance [s].

@@ -2,6 +2,7 @@
 
 mod area_resampling;
 mod decode;
+mod depth_upsampling;
 mod header;
 mod lzfse;
 mod resampling;

@@ -4,12 +4,13 @@
 //! each delivered pixel. The average is taken of the values as recorded (display space), as the
 //! systems compared with do; averaging light would need the camera response, which is unknown
 //! here. Depth: each delivered pixel takes the recorded pixel its centre falls into, so that no
-//! surface is invented between two depths.
+//! surface is invented between two depths; where recorded pixels are larger, as a piece of a plane.
 //!
 //! Colour and depth may have been recorded by cameras of different size and focal length at one
 //! place; frames are delivered on the grid of one of them.
 
 use super::area_resampling::AreaResampler;
+use super::depth_upsampling::depth_near;
 use crate::camera::Distortion;
 use i2slam_geometry::{Camera, Image};
 
@@ -58,6 +59,8 @@ pub(crate) struct Resampler {
     areas: Option<AreaResampler>,
     /// Index of the recorded pixel per delivered pixel, or [`OUTSIDE`].
     depth_lookup: Vec<u32>,
+    /// Offset from its centre per delivered pixel [px recorded], where recorded pixels are larger.
+    depth_offsets: Option<Vec<[f32; 2]>>,
     cropped: (usize, usize),
     /// Pinhole camera of the delivered frames.
     pub(crate) camera: Camera<f64>,
@@ -78,13 +81,15 @@ impl Resampler {
     ) -> Self {
         let cropped = recorded.grid.cropped(border);
         let size = |camera: &Camera<f64>| (camera.width, camera.height);
+        let (depth_lookup, depth_offsets) = depth_map(recorded, lens, border, delivered);
         let mut resampler = Self {
             colour_size: size(&recorded.colour),
             depth_size: size(&recorded.depth),
             border,
             taps: None,
             areas: None,
-            depth_lookup: depth_map(recorded, lens, border, delivered),
+            depth_lookup,
+            depth_offsets,
             cropped: (cropped.width, cropped.height),
             camera: cropped.resized(delivered.0, delivered.1),
             valid_mask: None,
@@ -110,9 +115,11 @@ impl Resampler {
         lens: &Distortion,
         delivered: (usize, usize),
     ) -> Self {
+        let (depth_lookup, depth_offsets) = depth_map(recorded, lens, 0, delivered);
         Self {
             depth_size: (recorded.depth.width, recorded.depth.height),
-            depth_lookup: depth_map(recorded, lens, 0, delivered),
+            depth_lookup,
+            depth_offsets,
             ..Self::new(&recorded.resized(delivered), lens, 0, delivered)
         }
     }
@@ -186,10 +193,20 @@ impl Resampler {
     /// Resamples a depth image to metres: values over `scale`, 0 where invalid, not recorded, or
     /// beyond `max_depth`.
     pub(crate) fn depth(&self, recorded: &Image<u16>, scale: f64, max_depth: f64) -> Image<f32> {
-        self.depth_values(recorded, |raw| {
+        let metres = |raw: u16| {
             let z = f64::from(raw) / scale;
             if z <= max_depth { z as f32 } else { 0.0 }
-        })
+        };
+        let Some(offsets) = &self.depth_offsets else {
+            return self.depth_values(recorded, metres);
+        };
+        let data = recorded.data.iter().map(|raw| metres(*raw)).collect();
+        let recorded = Image { width: recorded.width, height: recorded.height, channels: 1, data };
+        let near = |(index, offset): (&u32, &[f32; 2])| match *index {
+            OUTSIDE => 0.0,
+            index => depth_near(&recorded, index as usize, *offset),
+        };
+        self.delivered(self.depth_lookup.iter().zip(offsets).map(near).collect())
     }
 
     /// Resamples an image with the pixels of depth by nearest neighbour and maps its values by `of`;
@@ -203,12 +220,12 @@ impl Resampler {
             OUTSIDE => 0.0,
             index => of(recorded.data[index as usize]),
         };
-        Image {
-            width: self.camera.width,
-            height: self.camera.height,
-            channels: 1,
-            data: self.depth_lookup.iter().map(value).collect(),
-        }
+        self.delivered(self.depth_lookup.iter().map(value).collect())
+    }
+
+    /// A delivered image of one plane.
+    fn delivered(&self, data: Vec<f32>) -> Image<f32> {
+        Image { width: self.camera.width, height: self.camera.height, channels: 1, data }
     }
 
     /// Width and height of the recorded colour and depth images [px].
@@ -217,27 +234,32 @@ impl Resampler {
     }
 }
 
-/// Index of the recorded depth pixel per delivered pixel, or [`OUTSIDE`].
+/// Index of the recorded depth pixel per delivered pixel, or [`OUTSIDE`], and the offset from its centre where
+/// recorded pixels are larger.
 fn depth_map(
     recorded: &RecordingCameras,
     lens: &Distortion,
     border: usize,
     (width, height): (usize, usize),
-) -> Vec<u32> {
+) -> (Vec<u32>, Option<Vec<[f32; 2]>>) {
     let cropped = recorded.grid.cropped(border);
     let step_x = cropped.width as f64 / width as f64;
     let step_y = cropped.height as f64 / height as f64;
     let border = border as f64;
-    let mut lookup = Vec::with_capacity(width * height);
+    let is_finer = recorded.grid.fx / step_x > recorded.depth.fx * (1.0 + 1e-6);
+    let (mut lookup, mut offsets) = (Vec::with_capacity(width * height), Vec::new());
     for row in 0..height {
         for column in 0..width {
             let u = (column as f64 + 0.5) * step_x + border;
             let v = (row as f64 + 0.5) * step_y + border;
             let (u, v) = distort_pixel(&recorded.grid, lens, &recorded.depth, u, v);
             lookup.push(pixel_index(&recorded.depth, u, v));
+            if is_finer {
+                offsets.push([u, v].map(|at| (at - at.floor() - 0.5) as f32));
+            }
         }
     }
-    lookup
+    (lookup, is_finer.then_some(offsets))
 }
 
 /// Maps pixel `(u, v)` of the pinhole `from` to the distorted image of camera `to`.

@@ -2,7 +2,9 @@
 
 use super::frames::FrameLoader;
 use crate::DatasetError;
-use crate::camera::{Calibration, DepthGrid, Orientation, has_central_principal_point};
+use crate::camera::{
+    Calibration, DepthGrid, FormatDefaults, Orientation, has_central_principal_point,
+};
 use crate::formats::FrameEntry;
 use crate::image::{self, DepthEncoding, RecordingCameras, Resampler};
 use crate::video::Video;
@@ -164,6 +166,17 @@ fn most_common(sizes: &[(usize, usize)]) -> Option<(usize, usize)> {
     let count = |size: &(usize, usize)| sizes.iter().filter(|other| *other == size).count();
     // `max_by_key` takes the last of equal ones.
     sizes.iter().rev().max_by_key(|size| count(size)).copied()
+}
+
+/// A warning if the scale of depth, and with it the unit of length, is assumed.
+pub(super) fn assumed_scale_warning(format: &FormatDefaults) -> Option<String> {
+    format.is_scale_assumed.then(|| {
+        format!(
+            "the depth scale is not given: {} is taken for one metre, and all lengths depend on it; \
+             --depth-scale, or depth_scale in the camera file, gives it",
+            format.depth_scale
+        )
+    })
 }
 
 /// A warning if the median depth of the first frames is implausible.

@@ -56,6 +56,7 @@ pub(super) fn find_calibration(
     }
     if let Some(scale) = options.depth_scale {
         found.format.depth_scale = scale;
+        found.format.is_scale_assumed = false;
     }
     if let Some(camera) = &options.estimated_camera {
         found = found.replaced_by(camera);
@@ -77,6 +78,7 @@ fn with_rates(mut found: Calibration, given: FormatDefaults, usual: FormatDefaul
     if given.depth_scale != usual.depth_scale {
         found.format.depth_scale = given.depth_scale;
     }
+    found.format.is_scale_assumed &= given.is_scale_assumed;
     found
 }
 

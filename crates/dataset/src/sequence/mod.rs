@@ -20,7 +20,9 @@ use crate::image::{RecordingCameras, image_size};
 use crate::video::{is_stream, is_video, refused_stream};
 use crate::{DatasetError, OpenOptions};
 use black_bars::black_bars_warning;
-use checks::{camera_warning, coverage_warning, depth_scale_warning, recording_cameras};
+use checks::{
+    assumed_scale_warning, camera_warning, coverage_warning, depth_scale_warning, recording_cameras,
+};
 use delivery::delivery;
 use exif_consistency::{check_exif_consistency, orientation_note};
 use find_calibration::find_calibration;
@@ -186,7 +188,9 @@ impl Sequence {
             video,
         };
         warnings.extend(camera_warning(&cameras, &calibration.source));
-        warnings.extend(depth_scale_warning(&entries, &loader));
+        let is_read = has_depth && !options.colour_only;
+        let assumed = is_read.then(|| assumed_scale_warning(&calibration.format)).flatten();
+        warnings.extend(depth_scale_warning(&entries, &loader).or(assumed));
         warnings.extend(coverage_warning(&loader.resampler));
         warnings.extend(black_bars_warning(&entries, &loader, recorded_size));
         Ok(Self {

@@ -1,6 +1,6 @@
 //! Images without a dataset: EXIF data, fields of view, camera files of other programs.
 
-use crate::support::{Folder, assert_says, assert_warns, jpeg};
+use crate::support::{CAMERA, Folder, assert_says, assert_warns, jpeg};
 use i2slam_dataset::{DatasetError, OpenOptions, Sequence};
 use i2slam_geometry::Camera;
 use i2slam_storage::{Claim, OutputFolder};
@@ -90,6 +90,25 @@ fn misspelt_keys_of_a_camera_file_are_told() {
     let both = r#"{"fx": 14, "fy": 14, "cx": 7.5, "cy": 5.5, "depth_scale": 500, "depthScale": 1}"#;
     folder.write("camera.json", both);
     close(open(&folder, &OpenOptions::default()).depth_scale, 500.0);
+}
+
+#[test]
+fn a_scale_of_depth_that_nothing_gives_is_told() {
+    let folder = Folder::new();
+    (0..2).for_each(|i| folder.frame("colour", "depth", &format!("{i}"), i));
+    folder.write("camera.json", CAMERA);
+    let plain = OpenOptions::default();
+    assert_warns(&open(&folder, &plain).warnings, &["depth scale is not given: 5000"]);
+    let is_silent = |options: &OpenOptions| {
+        let warnings = open(&folder, options).warnings;
+        !warnings.iter().any(|warning| warning.contains("depth scale"))
+    };
+    assert!(is_silent(&OpenOptions { depth_scale: Some(5000.0), ..plain.clone() }));
+    assert!(is_silent(&OpenOptions { colour_only: true, ..plain.clone() }));
+    folder.write("camera.json", CAMERA.replace('}', r#","depth_scale":5000}"#));
+    assert!(is_silent(&plain));
+    let folder = Folder::tum(2);
+    assert!(!open(&folder, &plain).warnings.iter().any(|w| w.contains("depth scale")));
 }
 
 #[test]
