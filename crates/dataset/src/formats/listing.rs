@@ -5,6 +5,7 @@ use crate::file_part::FilePart;
 use crate::image::DepthEncoding;
 use crate::text::counted;
 use crate::video::Video;
+use crate::{DepthPairing, OpenOptions};
 use i2slam_geometry::{Pose, StampedPose};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -151,6 +152,17 @@ impl Listing {
             let frames = counted(missing, "frame");
             self.warnings.push(format!("{frames} without a finite, rigid true pose"));
         }
+    }
+
+    /// Leaves out frames without depth if the options want depth of each; `lack` says what they lack.
+    pub(super) fn keep_those_with_depth(&mut self, options: &OpenOptions, lack: &str) {
+        if options.colour_only || options.depth_pairing != DepthPairing::Nearest {
+            return;
+        }
+        let count = self.entries.len();
+        self.entries.retain(|entry| entry.depth.is_some());
+        self.entries.iter_mut().enumerate().for_each(|(index, entry)| entry.index = index);
+        self.drop_without_depth(count - self.entries.len(), lack);
     }
 
     /// Counts colour images that were dropped for lack of a depth image, with a warning; `lack` says

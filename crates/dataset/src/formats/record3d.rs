@@ -13,7 +13,7 @@ use crate::camera::{Calibration, DepthGrid, Distortion, FormatDefaults};
 use crate::file_part::FilePart;
 use crate::image::{DepthEncoding, METRES_AS_INTEGERS, check_pixels};
 use crate::text::{counted, is_present, read_text};
-use crate::{DatasetError, DepthPairing, OpenOptions};
+use crate::{DatasetError, OpenOptions};
 use i2slam_compute::median;
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -170,15 +170,9 @@ impl Recording {
             let time = times.map_or(number as f64 / frame_rate, |times| times[number]);
             self.entry((index, number), time, colour)
         };
-        let mut entries: Vec<FrameEntry> = pictures.enumerate().map(entry).collect();
-        let count = entries.len();
-        if !options.colour_only && options.depth_pairing == DepthPairing::Nearest {
-            entries.retain(|entry| entry.depth.is_some());
-            entries.iter_mut().enumerate().for_each(|(index, entry)| entry.index = index);
-        }
-        let without_depth = count - entries.len();
+        let entries: Vec<FrameEntry> = pictures.enumerate().map(entry).collect();
         if !options.colour_only && entries.iter().all(|entry| entry.depth.is_none()) {
-            let reason = format!("none of its {} has depth", counted(count, "picture"));
+            let reason = format!("none of its {} has depth", counted(entries.len(), "picture"));
             return Err(DatasetError::file(&self.path.join(FRAMES), reason));
         }
         let (width, height) = self.metadata.depth_size();
@@ -187,7 +181,7 @@ impl Recording {
             are_times_assumed: times.is_none() && self.metadata.fps.is_none(),
             ..Listing::new(Layout::Record3d, entries)
         };
-        listing.drop_without_depth(without_depth, "no depth of that number");
+        listing.keep_those_with_depth(options, "no depth of that number");
         Ok(listing)
     }
 

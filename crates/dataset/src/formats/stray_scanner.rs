@@ -9,7 +9,7 @@ use super::{DepthEntry, FrameEntry, Layout, Listing};
 use crate::camera::{Calibration, DepthGrid, Distortion, FormatDefaults};
 use crate::text::{counted, data_lines, is_present, parse_numbers, read_text};
 use crate::video::{Video, VideoListing, VideoPart};
-use crate::{DatasetError, DepthPairing, OpenOptions};
+use crate::{DatasetError, OpenOptions};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -82,25 +82,19 @@ pub(super) fn list(
         let colour = path.clone();
         FrameEntry { depth, ..FrameEntry::synchronous((index, index), *timestamp, colour, None) }
     };
-    let mut entries: Vec<FrameEntry> = timestamps.iter().enumerate().map(entry).collect();
-    let count = entries.len();
-    if !options.colour_only && options.depth_pairing == DepthPairing::Nearest {
-        entries.retain(|entry| entry.depth.is_some());
-        entries.iter_mut().enumerate().for_each(|(index, entry)| entry.index = index);
-    }
-    let without_depth = count - entries.len();
+    let entries: Vec<FrameEntry> = timestamps.iter().enumerate().map(entry).collect();
     if !options.colour_only && entries.iter().all(|entry| entry.depth.is_none()) {
         let reason = format!(
             "none of its {} has the number of one of the {} of {}",
             counted(depth_files.len(), "depth picture"),
-            counted(count, "picture"),
+            counted(entries.len(), "picture"),
             VIDEO
         );
         return Err(DatasetError::file(&depth_folder, reason));
     }
     let mut listing =
         Listing { video: Some(video), warnings, ..Listing::new(Layout::StrayScanner, entries) };
-    listing.drop_without_depth(without_depth, "no depth image of that number");
+    listing.keep_those_with_depth(options, "no depth image of that number");
     Ok(listing)
 }
 

@@ -2,7 +2,7 @@
 
 mod area_resampling;
 mod decode;
-mod depth_upsampling;
+mod depth_interpolation;
 mod header;
 mod lzfse;
 mod resampling;

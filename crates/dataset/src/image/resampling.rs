@@ -3,14 +3,14 @@
 //! Colour: lens removed by bilinear sampling at full resolution, then averaged over the area of
 //! each delivered pixel. The average is taken of the values as recorded (display space), as the
 //! systems compared with do; averaging light would need the camera response, which is unknown
-//! here. Depth: each delivered pixel takes the recorded pixel its centre falls into, so that no
-//! surface is invented between two depths; where recorded pixels are larger, as a piece of a plane.
+//! here. Depth: each delivered pixel takes the recorded pixel its centre falls into, as a piece of a
+//! plane, so that no surface is invented between two depths.
 //!
 //! Colour and depth may have been recorded by cameras of different size and focal length at one
 //! place; frames are delivered on the grid of one of them.
 
 use super::area_resampling::AreaResampler;
-use super::depth_upsampling::depth_near;
+use super::depth_interpolation::depth_near;
 use crate::camera::Distortion;
 use i2slam_geometry::{Camera, Image};
 
@@ -59,7 +59,7 @@ pub(crate) struct Resampler {
     areas: Option<AreaResampler>,
     /// Index of the recorded pixel per delivered pixel, or [`OUTSIDE`].
     depth_lookup: Vec<u32>,
-    /// Offset from its centre per delivered pixel [px recorded], where recorded pixels are larger.
+    /// Offset from its centre per delivered pixel [px recorded]; `None` where all are zero.
     depth_offsets: Option<Vec<[f32; 2]>>,
     cropped: (usize, usize),
     /// Pinhole camera of the delivered frames.
@@ -234,8 +234,8 @@ impl Resampler {
     }
 }
 
-/// Index of the recorded depth pixel per delivered pixel, or [`OUTSIDE`], and the offset from its centre where
-/// recorded pixels are larger.
+/// Index of the recorded depth pixel per delivered pixel, or [`OUTSIDE`], and the offset from its centre, unless
+/// all are zero.
 fn depth_map(
     recorded: &RecordingCameras,
     lens: &Distortion,
@@ -246,7 +246,6 @@ fn depth_map(
     let step_x = cropped.width as f64 / width as f64;
     let step_y = cropped.height as f64 / height as f64;
     let border = border as f64;
-    let is_finer = recorded.grid.fx / step_x > recorded.depth.fx * (1.0 + 1e-6);
     let (mut lookup, mut offsets) = (Vec::with_capacity(width * height), Vec::new());
     for row in 0..height {
         for column in 0..width {
@@ -254,12 +253,11 @@ fn depth_map(
             let v = (row as f64 + 0.5) * step_y + border;
             let (u, v) = distort_pixel(&recorded.grid, lens, &recorded.depth, u, v);
             lookup.push(pixel_index(&recorded.depth, u, v));
-            if is_finer {
-                offsets.push([u, v].map(|at| (at - at.floor() - 0.5) as f32));
-            }
+            offsets.push([u, v].map(|at| (at - at.floor() - 0.5) as f32));
         }
     }
-    (lookup, is_finer.then_some(offsets))
+    let is_between = offsets.iter().any(|offset| *offset != [0.0; 2]);
+    (lookup, is_between.then_some(offsets))
 }
 
 /// Maps pixel `(u, v)` of the pinhole `from` to the distorted image of camera `to`.
@@ -423,7 +421,7 @@ mod tests {
     }
 
     #[test]
-    fn without_distortion_resampling_agrees_with_area_and_nearest() {
+    fn without_distortion_colour_is_averaged_over_areas() {
         let image = recorded_ramp(&Distortion::default());
         let whole = Resampler::new(&single(camera()), &Distortion::default(), 0, (64, 48));
         assert_eq!(whole.colour(&image), image);
@@ -432,10 +430,29 @@ mod tests {
         for (a, b) in half.colour(&image).data.iter().zip(&expected.data) {
             assert!((a - b).abs() < 1e-6);
         }
-        let depth = Image { width: 64, height: 48, channels: 1, data: (0..64 * 48).collect() };
-        let metres = depth.data.iter().map(|&v| f32::from(v)).collect();
-        let expected = Image { width: 64, height: 48, channels: 1, data: metres };
-        assert_eq!(half.depth(&depth, 1.0, 1e9), expected.resized_by_nearest(32, 24));
+    }
+
+    #[test]
+    fn depth_of_a_plane_is_that_of_the_plane_through_any_lens_and_at_any_size() {
+        let inverse = |x: f64, y: f64| 0.5 + 0.2 * x - 0.1 * y;
+        for lens in [Distortion::default(), lens()] {
+            let recorded = |i: usize| {
+                let (x, y) = undistort(&lens, (i % 64) as f64 + 0.5, (i / 64) as f64 + 0.5);
+                (20_000.0 / inverse(x, y)).round() as u16
+            };
+            let data = (0..64 * 48).map(recorded).collect();
+            let recorded = Image { width: 64, height: 48, channels: 1, data };
+            for delivered in [(56, 40), (28, 20), (19, 13), (90, 70)] {
+                let resampler = Resampler::new(&single(camera()), &lens, 4, delivered);
+                let depth = resampler.depth(&recorded, 20_000.0, 10.0);
+                for (i, z) in depth.data.iter().enumerate() {
+                    let (u, v) = ((i % delivered.0) as f64 + 0.5, (i / delivered.0) as f64 + 0.5);
+                    let ray = resampler.camera.unproject(u, v, 1.0);
+                    let due = inverse(ray.x, ray.y).recip();
+                    assert!((f64::from(*z) - due).abs() < 1.5e-3, "{z} for {due}, {delivered:?}");
+                }
+            }
+        }
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! Depth on a finer grid than that on which it was recorded: every recorded pixel is a piece of a plane.
+//! Depth between the centres of recorded pixels: each of them is a piece of a plane.
 //!
 //! Inverse depth of a plane is linear in the picture. The slope of a pixel along rows, and along columns, is the
 //! lesser one of those to its two neighbours, and none where these differ in sign or one was not recorded (the
