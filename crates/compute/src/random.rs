@@ -31,8 +31,12 @@ impl Random {
         ((u128::from(self.bits()) * count as u128) >> 64) as usize
     }
 
-    /// `size` different indices in `0..count`. `count` must not be less than `size`.
+    /// `size` different indices in `0..count`.
+    ///
+    /// # Panics
+    /// If there are not so many.
     pub fn distinct_below(&mut self, count: usize, size: usize) -> Vec<usize> {
+        assert!(size <= count, "{size} of {count} indices");
         let mut chosen = Vec::with_capacity(size);
         while chosen.len() < size {
             let index = self.below(count);

@@ -45,6 +45,14 @@ impl FormatDefaults {
     /// Whatever says nothing else.
     pub(crate) const PLAIN: Self = Self { is_scale_assumed: true, ..Self::TUM };
 
+    /// With the scale of depth that the user gives, if any.
+    pub(crate) fn with_given_scale(self, given: Option<f64>) -> Self {
+        match given {
+            Some(depth_scale) => Self { depth_scale, is_scale_assumed: false, ..self },
+            None => self,
+        }
+    }
+
     /// Defaults for a colour camera given by the user: depth intrinsics then follow from it.
     pub(crate) fn with_depth_on_colour_camera(self) -> Self {
         let grid = match self.grid {

@@ -40,6 +40,7 @@ use crate::text::{is_present, list_names};
 use crate::video::is_video;
 use crate::{DatasetError, OpenOptions};
 use nerfstudio::TransformsFile;
+use record3d::Recording;
 use std::path::{Path, PathBuf};
 
 /// Longer side of frames of telephones with LiDAR, unless options say otherwise \[px\]: two and a half
@@ -112,7 +113,7 @@ impl Layout {
             Self::SevenScenes => ("7-Scenes", "frame-*.color.png, frame-*.depth.png"),
             Self::Nerfstudio => ("nerfstudio", "transforms.json with depth_file_path"),
             Self::StrayScanner => ("Stray Scanner", "rgb.mp4, depth/, camera_matrix.csv"),
-            Self::Record3d => ("Record3D", "one .r3d file (or its folder), or metadata, rgbd/"),
+            Self::Record3d => ("Record3D", "one .r3d file, or its folder; metadata, rgbd/"),
             Self::Plain => {
                 ("colour and depth folders", "colour/ (color/, rgb/, images/), depth/, camera.json")
             }
@@ -159,7 +160,7 @@ pub(crate) enum DetectedLayout {
     SevenScenes,
     Nerfstudio(TransformsFile),
     StrayScanner(PathBuf),
-    Record3d(record3d::Recording),
+    Record3d(Recording),
     Plain(folders::ImageFolders),
     Video,
 }
@@ -188,8 +189,8 @@ impl DetectedLayout {
         if is_video(path) {
             return Ok(Some(Self::Video));
         }
-        if let Some(recording) = record3d::Recording::find(path)? {
-            return Ok(Some(Self::Record3d(recording)));
+        if record3d::is_archive(path) {
+            return Recording::open_archive(path).map(Self::Record3d).map(Some);
         }
         if path.is_file() {
             return sens::SensFile::open(path).map(Self::Sens).map(Some);
@@ -199,6 +200,9 @@ impl DetectedLayout {
         }
         if stray_scanner::is_recording(path) {
             return Ok(Some(Self::StrayScanner(path.to_path_buf())));
+        }
+        if record3d::is_unpacked(path) {
+            return Recording::open_folder(path).map(Self::Record3d).map(Some);
         }
         if let Some(folders) = replica::find(path) {
             return Ok(Some(Self::Replica(folders)));
@@ -212,7 +216,11 @@ impl DetectedLayout {
         if let Some(file) = sens::find(path) {
             return sens::SensFile::open(&file).map(Self::Sens).map(Some);
         }
-        Ok(tum::find(path, true).or_else(|| folders::find(path).map(Self::Plain)))
+        let listed = tum::find(path, true).or_else(|| folders::find(path).map(Self::Plain));
+        match record3d::find_archive(path).filter(|_| listed.is_none()) {
+            Some(file) => Recording::open_archive(&file).map(Self::Record3d).map(Some),
+            None => Ok(listed),
+        }
     }
 
     fn without_depth(path: &Path) -> Result<Option<Self>, DatasetError> {

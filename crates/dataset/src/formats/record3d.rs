@@ -68,20 +68,23 @@ struct FrameFiles {
     confidence: Option<Place>,
 }
 
-impl Recording {
-    /// The recording that is a file, a folder, or the only one in a folder.
-    pub(super) fn find(path: &Path) -> Result<Option<Self>, DatasetError> {
-        let is_archive = |path: &Path| is_file_of(path, "r3d");
-        if is_archive(path) {
-            return Self::open_archive(path).map(Some);
-        }
-        if is_present(&path.join(METADATA)) && path.join(FRAMES).is_dir() {
-            return Self::open_folder(path).map(Some);
-        }
-        only_file(path, is_archive).map(|file| Self::open_archive(&file)).transpose()
-    }
+/// True of an archive, by its name.
+pub(super) fn is_archive(path: &Path) -> bool {
+    is_file_of(path, "r3d")
+}
 
-    fn open_archive(path: &Path) -> Result<Self, DatasetError> {
+/// True of a folder that an archive unpacked to.
+pub(super) fn is_unpacked(folder: &Path) -> bool {
+    is_present(&folder.join(METADATA)) && folder.join(FRAMES).is_dir()
+}
+
+/// The only archive in a folder.
+pub(super) fn find_archive(folder: &Path) -> Option<PathBuf> {
+    only_file(folder, is_archive)
+}
+
+impl Recording {
+    pub(super) fn open_archive(path: &Path) -> Result<Self, DatasetError> {
         let archive = ZipArchive::open(path)?;
         let part = |member| archive.part(member, "unpack it, and give the folder");
         let metadata = archive.members.iter().find(|member| member.name == METADATA);
@@ -107,7 +110,7 @@ impl Recording {
         Ok(found)
     }
 
-    fn open_folder(path: &Path) -> Result<Self, DatasetError> {
+    pub(super) fn open_folder(path: &Path) -> Result<Self, DatasetError> {
         let file = path.join(METADATA);
         let metadata = Metadata::parse(&file, &read_text(&file)?)?;
         let mut found = Self { path: path.to_path_buf(), metadata, frames: BTreeMap::new() };
@@ -178,7 +181,7 @@ impl Recording {
         let (width, height) = self.metadata.depth_size();
         let mut listing = Listing {
             depth_encoding: DepthEncoding::LzfseMetres { width, height },
-            are_times_assumed: times.is_none() && self.metadata.fps.is_none(),
+            are_times_assumed: times.is_none(),
             ..Listing::new(Layout::Record3d, entries)
         };
         listing.keep_those_with_depth(options, "no depth of that number");

@@ -9,8 +9,8 @@ use std::path::{Path, PathBuf};
 /// Size of the end record without its comment of at most 65535 bytes.
 const END_RECORD_BYTES: usize = 22;
 
-/// Largest table of contents [bytes]: that of 300 000 members.
-const MAX_TABLE_BYTES: u64 = 16 << 20;
+/// Largest table of contents [bytes]: that of a million members with short names.
+const MAX_TABLE_BYTES: u64 = 64 << 20;
 
 /// Entry of the central directory.
 #[derive(Clone, Debug)]
@@ -42,15 +42,20 @@ impl ZipArchive {
             DatasetError::file(path, reason)
         };
         if table.end.saturating_sub(table.start) > MAX_TABLE_BYTES {
-            return Err(damaged());
+            let most = MAX_TABLE_BYTES >> 20;
+            let reason = format!("its table of contents is longer than {most} MB: unpack it");
+            return Err(DatasetError::file(path, reason));
         }
         let table = read_part(path, table)?;
         let (mut members, mut at) = (Vec::new(), 0);
-        for _ in 0..count {
-            let (member, length) =
-                read_member(&table[at.min(table.len())..]).ok_or_else(damaged)?;
+        while at < table.len() {
+            let (member, length) = read_member(&table[at..]).ok_or_else(damaged)?;
             members.push(member);
             at += length;
+        }
+        // Writers that do not know 64-bit sizes count modulo 65536.
+        if members.len() as u64 % 0x1_0000 != count % 0x1_0000 {
+            return Err(damaged());
         }
         Ok(Self { path: path.to_path_buf(), length: length(path)?, members })
     }

@@ -3,7 +3,8 @@
 //! Inverse depth of a plane is linear in the picture. The slope of a pixel along rows, and along columns, is the
 //! lesser one of those to its two neighbours, and none where these differ in sign or one was not recorded (the
 //! limiter minmod; Roe 1986, *Characteristic-based schemes for the Euler equations*). So a pixel beside an edge
-//! has the slope of its own surface, and no surface is invented between two.
+//! has the slope of its own surface, and no surface is invented between two. Estimated depth of other programs,
+//! which is smooth and on a coarser grid, is interpolated bilinearly ([`import`](crate::import)).
 
 use i2slam_geometry::Image;
 

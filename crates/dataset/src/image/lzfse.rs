@@ -5,15 +5,12 @@ use lzfse_rust::LzfseRingDecoder;
 use std::io::Read;
 use std::path::Path;
 
-/// Decompresses exactly `length` bytes; those that are not compressed have this length already.
+/// Decompresses exactly `length` bytes.
 pub(super) fn decompress_lzfse(
     path: &Path,
     bytes: &[u8],
     length: usize,
 ) -> Result<Vec<u8>, DatasetError> {
-    if bytes.len() == length {
-        return Ok(bytes.to_vec());
-    }
     let mut out = Vec::with_capacity(length);
     let mut decoder = LzfseRingDecoder::default();
     let decoded = decoder.reader_bytes(bytes).take(length as u64 + 1).read_to_end(&mut out);

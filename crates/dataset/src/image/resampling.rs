@@ -195,7 +195,8 @@ impl Resampler {
     pub(crate) fn depth(&self, recorded: &Image<u16>, scale: f64, max_depth: f64) -> Image<f32> {
         let metres = |raw: u16| {
             let z = f64::from(raw) / scale;
-            if z <= max_depth { z as f32 } else { 0.0 }
+            // Its inverse has to be finite.
+            if z <= max_depth && z >= f64::from(f32::MIN_POSITIVE) { z as f32 } else { 0.0 }
         };
         let Some(offsets) = &self.depth_offsets else {
             return self.depth_values(recorded, metres);

@@ -104,10 +104,8 @@ fn open_images(
         }
         Err(error) => return Err(error),
     };
-    let defaults = defaults.with_depth_on_colour_camera();
-    let depth_scale = options.depth_scale.unwrap_or(defaults.depth_scale);
-    let calibration =
-        Calibration { format: FormatDefaults { depth_scale, ..defaults }, ..calibration };
+    let format = defaults.with_depth_on_colour_camera().with_given_scale(options.depth_scale);
+    let calibration = Calibration { format, ..calibration };
     Sequence::from_listing(name_of(folder), listing, calibration, options, DEFAULT_FRAME_RATE)
 }
 

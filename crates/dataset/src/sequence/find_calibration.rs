@@ -54,10 +54,7 @@ pub(super) fn find_calibration(
         let reason = "has no fx, fy, cx, cy, the camera's focal lengths and centre in pixels";
         return Err(DatasetError::file(file, reason));
     }
-    if let Some(scale) = options.depth_scale {
-        found.format.depth_scale = scale;
-        found.format.is_scale_assumed = false;
-    }
+    found.format = found.format.with_given_scale(options.depth_scale);
     if let Some(camera) = &options.estimated_camera {
         found = found.replaced_by(camera);
     }

@@ -83,13 +83,34 @@ fn colour_alone_and_frames_without_times_are_read() {
     let mut files = files();
     files.retain(|(name, _)| !name.ends_with(".depth") && !name.ends_with(".conf"));
     let untimed = METADATA.replace("frameTimestamps", "unused").replace("perFrame", "unused");
+    files[0].1 = untimed.replace("60", "0").into_bytes();
+    let options = OpenOptions { colour_only: true, ..OpenOptions::default() };
+    let without_rate = folder.write("b.r3d", zip(&files, false));
+    assert!(Sequence::open(&without_rate, &options).expect("colour").are_times_assumed);
     files[0].1 = untimed.into_bytes();
     let path = folder.write("a.r3d", zip(&files, false));
     assert_says(open(&path), &["rgbd", "none of its 3 pictures has depth"]);
-    let options = OpenOptions { colour_only: true, ..OpenOptions::default() };
     let sequence = Sequence::open(&path, &options).expect("colour");
     assert_eq!((sequence.camera.fx, sequence.camera.cx), (41.0, 23.5));
+    assert!(!sequence.are_times_assumed);
     assert!((sequence.load(2).expect("a frame").timestamp - 2.0 / 60.0).abs() < 1e-9);
+}
+
+/// Writers that do not know 64-bit sizes count members modulo 65536.
+#[test]
+fn long_recordings_are_read_to_their_end() {
+    let folder = Folder::new();
+    let others = (0..0x1_0000).map(|i| (format!("other/{i}"), Vec::new()));
+    let members: Vec<_> = others.chain(files()).collect();
+    let path = folder.write("a.r3d", zip(&members, false));
+    assert_eq!(open(&path).expect("a recording").len(), 3);
+}
+
+#[test]
+fn a_recording_beside_another_sequence_does_not_replace_it() {
+    let folder = Folder::tum(2);
+    folder.write("other.r3d", b"damaged");
+    assert_eq!(open(&folder.0).expect("a sequence").layout, Layout::Tum);
 }
 
 #[test]

@@ -180,14 +180,15 @@ impl TrackedStream {
     }
 }
 
-/// A note if poses came late: so many frames at the end of a stream were tracked after it had ended.
+/// A note if poses came late: so many frames at the end of a stream were tracked after it had ended. A file that
+/// is piped in faster than it was filmed has one, too.
 fn lag_note(late: usize, timestamps: &[(f64, Option<f64>)]) -> Option<String> {
-    let in_time = timestamps.len().checked_sub(late + 1)?;
+    let in_time = timestamps.len().saturating_sub(late + 1);
     let lag = timestamps.last()?.0 - timestamps[in_time].0;
-    (lag > MAX_LAG).then(|| {
+    (late > 0 && lag > MAX_LAG).then(|| {
         format!(
-            "poses fell behind: the last {lag:.1} s of the stream were tracked after it had ended; \
-             pictures of half the width and height take about a quarter of the time"
+            "the last {lag:.1} s of the stream were tracked after it had ended: their poses came late; \
+             fewer frames a second, or smaller ones, are tracked in time"
         )
     })
 }

@@ -1,3 +1,4 @@
+use super::blocks::weighted_residual;
 use super::*;
 use crate::fixtures::camera;
 use crate::multiview::lens_distortion::distortion_jacobian;
@@ -138,6 +139,28 @@ fn the_gradient_agrees_with_differences() {
         0.5 * bundle.apply_step(&step).cost()
     };
     assert_gradient("bundle", &[0.0; 12], &gradient, 1e-6, 1e-6, f);
+}
+
+/// Steps of landmarks alone and of all parameters are accepted by one cost.
+#[test]
+fn weighted_residuals_have_the_cost_of_their_observations() {
+    let (mut bundle, _) = scene(0.3);
+    // The last pose looks back.
+    let back = Rotation::exp(Vec3::new(0.0, std::f64::consts::PI, 0.0));
+    bundle.poses[5].rotation = bundle.poses[5].rotation * back;
+    let measured = Arc::make_mut(&mut bundle.observations)[1].iter_mut();
+    measured.for_each(|o| o.depth = Some(DepthReading { inverse: 0.45, sigma: 0.01 }));
+    let mut of_each = [0; 3];
+    for (landmark, observations) in bundle.landmarks.iter().zip(bundle.observations.iter()) {
+        for o in observations {
+            let weighted = weighted_residual(&bundle, landmark, o, Curvature::Majorizing);
+            of_each[weighted.as_ref().map_or(2, |w| w.rows - 2)] += 1;
+            let cost = weighted.map_or_else(|| o.cost_behind_camera(), |w| w.cost);
+            let due = bundle.observation_cost(landmark, o);
+            assert!((cost - due).abs() <= 1e-9 * due.max(1.0), "{cost} for {due}");
+        }
+    }
+    assert!(of_each.iter().all(|count| *count > 0), "{of_each:?}");
 }
 
 /// Residuals of a pose that all happen to be somewhat longer than the Huber threshold hold it still.

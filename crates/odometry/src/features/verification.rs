@@ -145,7 +145,7 @@ fn relative_pose(
     let mut random = Random::new(matches.len() as u64);
     let mut best: Option<(f64, Pose<f64>)> = None;
     for hypothesis in 0..HYPOTHESES {
-        // Distinct matches first, all of them in the end (PROSAC; Chum and Matas 2005).
+        // The most distinctive matches first, all of them in the end (PROSAC; Chum and Matas 2005).
         let among = matches.len() * (hypothesis + HYPOTHESES / 10) / HYPOTHESES;
         let among = among.clamp(MIN_INLIERS, matches.len());
         let chosen = random.distinct_below(among, SAMPLE_SIZE);

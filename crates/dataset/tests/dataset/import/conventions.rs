@@ -57,6 +57,7 @@ fn another_unit_of_depth_is_noticed() {
         let open = OpenOptions { depth_scale: Some(depth_scale), ..OpenOptions::default() };
         let found = warnings_of(&folder, ImportOptions { open, ..ImportOptions::default() });
         assert_warns(&found, &["different units", factor]);
+        assert!(found.iter().all(|warning| !warning.contains("is not given")), "{found:?}");
     }
 }
 

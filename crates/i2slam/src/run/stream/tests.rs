@@ -173,5 +173,6 @@ fn poses_that_come_late_are_told() {
     }
     let note = lag_note(30, &stamps).expect("a second and a half");
     assert!(note.contains("the last 1.5 s of the stream"), "{note}");
-    assert_eq!(lag_note(0, &[]), None);
+    assert!(lag_note(60, &stamps).expect("all of it").contains("the last 3.0 s"));
+    assert_eq!((lag_note(0, &[]), lag_note(0, &stamps)), (None, None));
 }
