@@ -26,6 +26,8 @@ pub(crate) struct PoseLines {
     overwrite: bool,
     /// Lines to be written, and the end of the thread that does; `None` before the first one.
     writer: Mutex<Option<(Sender<String>, Receiver<()>)>>,
+    /// Number of poses, and time stamp of the first one [s].
+    written: Mutex<(usize, f64)>,
 }
 
 impl PoseLines {
@@ -62,7 +64,8 @@ impl PoseLines {
             }
         }
         let head = online_trajectory(&[], unit);
-        Ok(Self { path: path.to_owned(), head, overwrite, writer: Mutex::default() })
+        let (writer, written) = (Mutex::default(), Mutex::default());
+        Ok(Self { path: path.to_owned(), head, overwrite, writer, written })
     }
 
     /// True for `-`: poses go to the standard output, and results to standard error.
@@ -76,20 +79,29 @@ impl PoseLines {
         let (lines, _) = writer.get_or_insert_with(|| self.start());
         // Fails only if a line could not be written, which was told.
         lines.send(trajectory_line(pose)).ok();
+        if let Ok(mut written) = self.written.lock() {
+            let first = if written.0 == 0 { pose.timestamp } else { written.1 };
+            *written = (written.0 + 1, first);
+        }
     }
 
-    /// Says so where no pose was written by the end of a run.
-    pub(crate) fn warn_if_none(&self) {
-        if self.writer.lock().is_ok_and(|writer| writer.is_none()) {
-            print_status(&format!(
-                "warning: no pose was known while frames came, so that none was written to {}; \
-                 trajectory.txt of the result has those that were found in the end",
-                if self.is_standard_output() {
-                    "the standard output".into()
-                } else {
-                    self.path.display().to_string()
-                }
-            ));
+    /// Says at the end of a run of so many frames how many poses were known while they came, unless all were.
+    pub(crate) fn report(&self, frames: usize) {
+        let place = match self.is_standard_output() {
+            true => "the standard output".into(),
+            false => self.path.display().to_string(),
+        };
+        let in_the_end = "trajectory.txt of the result has those that were found in the end";
+        let Ok(written) = self.written.lock() else { return };
+        match *written {
+            (0, _) => print_status(&format!(
+                "warning: no pose was known while frames came, so that none was written to {place}; {in_the_end}"
+            )),
+            (count, first) if count < frames => print_status(&format!(
+                "{count} poses of {frames} frames, from the time {first:.3} s on, were known while frames \
+                 came, and written to {place}; {in_the_end}"
+            )),
+            _ => {}
         }
     }
 

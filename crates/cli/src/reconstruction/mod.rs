@@ -198,7 +198,7 @@ fn reconstruct_into(
     });
     progress.clear();
     let WrittenRun { metrics, map, folder, not_placed, problems } = written?;
-    job.poses.iter().for_each(|poses| poses.warn_if_none());
+    job.poses.iter().for_each(|poses| poses.report(metrics.frames));
     let interrupted = interrupt::requested();
     if interrupted && metrics.degraded {
         print_status(&format!("warning: degraded: {}", metrics.degraded_because.join("; ")));

@@ -185,6 +185,21 @@ impl DetectedLayout {
         matches!(self, Self::Video)
     }
 
+    /// Whether the sequence is a file that says all about it.
+    pub(crate) fn is_file(&self, path: &Path) -> bool {
+        self.is_video() || (matches!(self, Self::Record3d(_)) && path.is_file())
+    }
+
+    /// Whether depth is stored in metres.
+    pub(crate) fn is_in_metres(&self) -> bool {
+        matches!(self, Self::Record3d(_))
+    }
+
+    /// Whether the layout has depth, but none of its frames.
+    pub(crate) fn lacks_depth(&self) -> bool {
+        matches!(self, Self::Record3d(recording) if !recording.has_depth())
+    }
+
     fn with_depth(path: &Path) -> Result<Option<Self>, DatasetError> {
         if is_video(path) {
             return Ok(Some(Self::Video));
@@ -269,7 +284,7 @@ impl DetectedLayout {
             Self::SevenScenes => Ok(Some(seven_scenes::calibration())),
             Self::Nerfstudio(file) => file.calibration().map(Some),
             Self::StrayScanner(folder) => stray_scanner::calibration(folder).map(Some),
-            Self::Record3d(recording) => recording.calibration().map(Some),
+            Self::Record3d(recording) => recording.calibration(),
         }
     }
 

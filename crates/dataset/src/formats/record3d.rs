@@ -89,7 +89,9 @@ impl Recording {
         let part = |member| archive.part(member, "unpack it, and give the folder");
         let metadata = archive.members.iter().find(|member| member.name == METADATA);
         let metadata = metadata.ok_or_else(|| {
-            DatasetError::file(path, "no recording of Record3D: it holds no file 'metadata'")
+            let reason = "no recording of Record3D: it holds no file 'metadata'; export it as .r3d \
+                          again";
+            DatasetError::file(path, reason)
         })?;
         let inside = path.join(METADATA);
         let bytes = part(metadata)?.read(path, MAX_METADATA);
@@ -144,16 +146,25 @@ impl Recording {
         }
     }
 
-    /// The median camera of all frames.
-    pub(super) fn calibration(&self) -> Result<Calibration, DatasetError> {
+    /// True if some frame has depth.
+    pub(super) fn has_depth(&self) -> bool {
+        self.frames.values().any(|files| files.colour.is_some() && files.depth.is_some())
+    }
+
+    /// The median camera of all frames; `None` where the metadata have none.
+    pub(super) fn calibration(&self) -> Result<Option<Calibration>, DatasetError> {
+        let file = self.path.join(METADATA);
+        if self.metadata.matrix.is_none() && self.metadata.per_frame_intrinsic_coeffs.is_none() {
+            return Ok(None);
+        }
         let intrinsics = self.metadata.intrinsics().ok_or_else(|| {
             let reason = "expected intrinsics with fx, fy above 0, in K or perFrameIntrinsicCoeffs";
-            DatasetError::file(&self.path.join(METADATA), reason)
+            DatasetError::file(&file, reason)
         })?;
-        let source = self.path.display().to_string();
+        let source = file.display().to_string();
         let found =
             Calibration::from_opencv(intrinsics, Distortion::default(), &source, self.defaults());
-        Ok(Calibration { size: Some((self.metadata.w, self.metadata.h)), ..found })
+        Ok(Some(Calibration { size: Some((self.metadata.w, self.metadata.h)), ..found }))
     }
 
     /// Lists the frames that have a colour picture.
@@ -174,7 +185,7 @@ impl Recording {
             self.entry((index, number), time, colour)
         };
         let entries: Vec<FrameEntry> = pictures.enumerate().map(entry).collect();
-        if !options.colour_only && entries.iter().all(|entry| entry.depth.is_none()) {
+        if !options.colour_only && !self.has_depth() {
             let reason = format!("none of its {} has depth", counted(entries.len(), "picture"));
             return Err(DatasetError::file(&self.path.join(FRAMES), reason));
         }
@@ -209,7 +220,7 @@ impl Recording {
 impl Metadata {
     fn parse(path: &Path, text: &str) -> Result<Self, DatasetError> {
         let found: Self = serde_json::from_str(text)
-            .map_err(|e| DatasetError::file(path, format!("no metadata of Record3D: {e}")))?;
+            .map_err(|e| DatasetError::file(path, format!("no JSON object of Record3D: {e}")))?;
         let (width, height) = found.depth_size();
         if [found.w, found.h, width, height].contains(&0) {
             return Err(DatasetError::file(path, "w, h, dw and dh must be above 0"));

@@ -40,7 +40,11 @@ impl SensFile {
     /// Reads the header and the position of every frame.
     pub(super) fn open(path: &Path) -> Result<Self, DatasetError> {
         if !is_sens(path) {
-            let found = "a file that is no .sens, no .r3d and no video".into();
+            let is_archive = i2slam_storage::read_range(path, 0..2).is_ok_and(|word| word == b"PK");
+            let found = match is_archive {
+                true => "an archive: unpack it, or call a recording of Record3D .r3d".into(),
+                false => "a file that is no .sens, no .r3d and no video".into(),
+            };
             return Err(unknown_layout(path, found, false));
         }
         let mut reader = SensReader::open(path)?;

@@ -91,6 +91,9 @@ impl ZipArchive {
 /// Place of the central directory and its number of members.
 fn find_directory(path: &Path) -> Result<(Range<u64>, u64), DatasetError> {
     let length = length(path)?;
+    if length == 0 {
+        return Err(DatasetError::file(path, "cut off: the file is empty; copy or write it again"));
+    }
     let from = length.saturating_sub((END_RECORD_BYTES + 0xffff) as u64);
     let tail = read_part(path, from..length)?;
     let cut_off = || {

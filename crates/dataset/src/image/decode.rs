@@ -143,7 +143,7 @@ pub(crate) fn decode_depth(
     let bytes = read_bytes(path, part, expected.max_bytes())?;
     let bytes = match code {
         DepthEncoding::LzfseMetres { .. } => {
-            let data = decompress_lzfse(path, &bytes, 4 * width * height)?;
+            let data = decompress_lzfse(path, &bytes, ("depth", (width, height), 4))?;
             let data = data.chunks_exact(4).map(|b| integer_of_metres([b[0], b[1], b[2], b[3]]));
             return Ok(Image { width, height, channels: 1, data: data.collect() });
         }
@@ -177,7 +177,7 @@ pub(crate) fn decode_doubtful(
 ) -> Result<Vec<bool>, DatasetError> {
     if let DepthEncoding::LzfseMetres { width, height } = code {
         let bytes = read_bytes(path, part, expected.max_bytes())?;
-        let bytes = decompress_lzfse(path, &bytes, width * height)?;
+        let bytes = decompress_lzfse(path, &bytes, ("confidence", (width, height), 1))?;
         return Ok(bytes.into_iter().map(|confidence| confidence == 0).collect());
     }
     let confidence = decode_colour(path, part, expected)?;

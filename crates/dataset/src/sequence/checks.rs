@@ -173,7 +173,7 @@ pub(super) fn assumed_scale_warning(format: &FormatDefaults) -> Option<String> {
     format.is_scale_assumed.then(|| {
         format!(
             "the depth scale is not given: {} is taken for one metre, and all lengths depend on it; \
-             --depth-scale, or depth_scale in the camera file, gives it",
+             --depth-scale, or depth_scale in the camera file, gives it (1000 for millimetres)",
             format.depth_scale
         )
     })

@@ -17,12 +17,12 @@ pub(super) fn find_calibration(
     let folder = if path.is_dir() { path } else { path.parent().unwrap_or(path) };
     let beside = folder.join("camera.json");
     let usual = layout.defaults().with_depth_on_colour_camera();
-    // A camera.json in the folder of a video need not belong to it.
-    let given = !layout.is_video() && is_present(&beside) && !is_of_result(folder);
+    // A camera.json in the folder of a file need not belong to it.
+    let given = !layout.is_file(path) && is_present(&beside) && !is_of_result(folder);
     let given = given.then(|| read_camera(&beside, usual));
-    // Without a camera it has frame rate and scale of depth, whatever gives the camera.
+    // It gives frame rate and scale of depth, whatever gives the camera.
     let defaults = match &given {
-        Some(Ok(rates)) if rates.is_guess => rates.format,
+        Some(Ok(found)) => found.format,
         _ => usual,
     };
     let mut found = if let Some(k) = options.intrinsics {
@@ -54,7 +54,14 @@ pub(super) fn find_calibration(
         let reason = "has no fx, fy, cx, cy, the camera's focal lengths and centre in pixels";
         return Err(DatasetError::file(file, reason));
     }
-    found.format = found.format.with_given_scale(options.depth_scale);
+    found.format = match layout.is_in_metres() {
+        true if options.depth_scale.is_some() => {
+            let reason = "the recording has depth in metres, which no scale belongs to";
+            return Err(DatasetError::option("depth_scale", reason));
+        }
+        true => found.format.with_given_scale(Some(usual.depth_scale)),
+        false => found.format.with_given_scale(options.depth_scale),
+    };
     if let Some(camera) = &options.estimated_camera {
         found = found.replaced_by(camera);
     }

@@ -108,11 +108,6 @@ impl LiveSequence {
         self.recording.path()
     }
 
-    /// True once the stream has ended, and all of it is recorded.
-    pub fn has_ended(&self) -> bool {
-        self.recording.growing_bytes().is_none()
-    }
-
     /// True if the stream has a depth track. Its first frame may lack depth.
     pub fn has_depth(&self) -> bool {
         self.first.loader.video.as_deref().is_some_and(Video::has_depth)

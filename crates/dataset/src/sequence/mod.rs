@@ -57,6 +57,8 @@ pub struct Sequence {
     pub are_times_assumed: bool,
     /// Depth image value of one metre.
     pub depth_scale: f64,
+    /// True where neither the format nor a file nor the user gives it.
+    pub is_depth_scale_assumed: bool,
     /// The chosen frames, in order of time.
     pub entries: Vec<FrameEntry>,
     /// Counts of colour images that are not in the associated stream.
@@ -79,14 +81,16 @@ pub struct Sequence {
     pub(crate) is_thinned: bool,
 }
 
-/// True for a folder of images without depth in any known layout, and for a video file without a depth
-/// track.
+/// True for a folder of images without depth in any known layout, for a video file without a depth track, and
+/// for a recording of Record3D without depth.
 pub fn is_without_depth(path: &Path) -> bool {
     if is_video(path) && !is_stream(path) {
         return !crate::video::has_depth_track(path);
     }
-    let found = DetectedLayout::detect(path, false);
-    matches!(found, Err(DatasetError::UnknownLayout { has_colour: true, .. }))
+    match DetectedLayout::detect(path, false) {
+        Ok(found) => found.lacks_depth(),
+        Err(error) => matches!(error, DatasetError::UnknownLayout { has_colour: true, .. }),
+    }
 }
 
 impl Sequence {
@@ -202,6 +206,7 @@ impl Sequence {
             camera: loader.resampler.camera,
             frame_rate,
             depth_scale: calibration.format.depth_scale,
+            is_depth_scale_assumed: calibration.format.is_scale_assumed,
             entries,
             dropped: listing.dropped,
             ground_truth: listing.ground_truth,

@@ -107,6 +107,14 @@ fn a_scale_of_depth_that_nothing_gives_is_told() {
     assert!(is_silent(&OpenOptions { colour_only: true, ..plain.clone() }));
     folder.write("camera.json", CAMERA.replace('}', r#","depth_scale":5000}"#));
     assert!(is_silent(&plain));
+    // A lens by the user leaves what else the file says.
+    folder.write("camera.json", CAMERA.replace('}', r#","depth_scale":1000,"fps":24}"#));
+    let sequence =
+        open(&folder, &OpenOptions { intrinsics: Some([9.0, 9.0, 7.5, 5.5]), ..plain.clone() });
+    assert_eq!(
+        (sequence.camera.fx, sequence.depth_scale, sequence.frame_rate),
+        (9.0, 1000.0, 24.0)
+    );
     let folder = Folder::tum(2);
     assert!(!open(&folder, &plain).warnings.iter().any(|w| w.contains("depth scale")));
 }

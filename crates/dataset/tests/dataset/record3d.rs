@@ -1,7 +1,7 @@
 //! Recordings of the app Record3D: 48x32 colour, 24x16 depth.
 
 use super::support::{Folder, assert_says, assert_warns, jpeg, zip};
-use i2slam_dataset::{DatasetError, Layout, OpenOptions, Sequence};
+use i2slam_dataset::{DatasetError, Layout, OpenOptions, Sequence, is_without_depth};
 use std::path::Path;
 
 const METADATA: &str = r#"{"w": 48, "h": 32, "dw": 24, "dh": 16, "fps": 60,
@@ -90,10 +90,34 @@ fn colour_alone_and_frames_without_times_are_read() {
     files[0].1 = untimed.into_bytes();
     let path = folder.write("a.r3d", zip(&files, false));
     assert_says(open(&path), &["rgbd", "none of its 3 pictures has depth"]);
+    assert!(is_without_depth(&path));
     let sequence = Sequence::open(&path, &options).expect("colour");
     assert_eq!((sequence.camera.fx, sequence.camera.cx), (41.0, 23.5));
     assert!(!sequence.are_times_assumed);
     assert!((sequence.load(2).expect("a frame").timestamp - 2.0 / 60.0).abs() < 1e-9);
+}
+
+#[test]
+fn depth_is_in_metres_whatever_the_user_says_and_an_unknown_camera_is_asked_for() {
+    let folder = Folder::new();
+    let [path, .., unpacked] = recordings(&folder);
+    let scaled = OpenOptions { depth_scale: Some(1000.0), ..OpenOptions::default() };
+    assert_says(Sequence::open(&path, &scaled), &["depth_scale", "depth in metres"]);
+    let camera = r#"{"fx": 30, "fy": 30, "cx": 23.5, "cy": 15.5, "depth_scale": 1000}"#;
+    folder.write("unpacked/camera.json", camera);
+    // One beside an archive belongs to something else.
+    folder.write("camera.json", camera);
+    for (recording, fx) in [(&unpacked, 30.0), (&path, 40.0)] {
+        let sequence = open(recording).expect("a recording");
+        let depth = sequence.load(0).expect("a frame").depth.expect("depth");
+        assert_eq!((sequence.camera.fx, depth.image.data[48 * 16 + 10]), (fx, 1.5));
+    }
+    let mut files = files();
+    files[0].1 = br#"{"w": 48, "h": 32, "dw": 24, "dh": 16}"#.to_vec();
+    let path = folder.write("b.r3d", zip(&files, false));
+    assert!(matches!(open(&path), Err(DatasetError::NoCamera { .. })));
+    let guessed = OpenOptions { guess_camera: true, ..OpenOptions::default() };
+    assert!(Sequence::open(&path, &guessed).expect("a recording").camera_is_guess);
 }
 
 /// Writers that do not know 64-bit sizes count members modulo 65536.
@@ -122,22 +146,23 @@ fn damaged_recordings_are_told() {
         folder.write("a.r3d", zip(&files, false))
     };
     for (metadata, problem) in [
-        ("{", "no metadata of Record3D"),
+        ("{", "no JSON object of Record3D"),
         (r#"{"w": 48}"#, "missing field `h`"),
         (r#"{"w": 48, "h": 32, "dw": 0}"#, "above 0"),
-        (r#"{"w": 48, "h": 32, "dw": 24, "dh": 16}"#, "expected intrinsics with fx, fy above 0"),
+        (r#"{"w": 48, "h": 32, "K": [1, 2]}"#, "expected intrinsics with fx, fy above 0"),
         (r#"{"w": 48, "h": 32, "dw": 90000, "dh": 90000}"#, "megapixels"),
     ] {
         assert_says(open(&with("metadata", metadata.as_bytes())), &["a.r3d", "metadata", problem]);
     }
     let load = |path: &Path| open(path).expect("opens").load(0);
     let short = compressed(&[0; 500]);
-    assert_says(load(&with("rgbd/0.depth", &short)), &["a.r3d", "500 bytes, expected 1536"]);
+    let due = "expected 1536 for 24x16 values";
+    assert_says(load(&with("rgbd/0.depth", &short)), &["a.r3d", "depth of 500 bytes", due]);
     let long = compressed(&[0; 5000]);
-    assert_says(load(&with("rgbd/0.depth", &long)), &["more than 1536 bytes"]);
+    assert_says(load(&with("rgbd/0.depth", &long)), &["depth of more bytes", due]);
     let mut broken = compressed(&(0..1536).map(|i| (i * i % 251) as u8).collect::<Vec<_>>());
     broken.truncate(40);
-    assert_says(load(&with("rgbd/0.conf", &broken)), &["a.r3d", "damaged"]);
+    assert_says(load(&with("rgbd/0.conf", &broken)), &["a.r3d", "damaged confidence"]);
 
     let whole = zip(&files(), false);
     let cut_off = folder.write("b.r3d", &whole[..whole.len() / 2]);

@@ -12,8 +12,9 @@ use crate::session::scratch_store;
 use i2slam_dataset::{Frame, LiveSequence, Sequence};
 use i2slam_geometry::StampedPose;
 use std::sync::PoisonError;
+use std::time::Instant;
 
-/// Part of a stream that may be tracked after its end without a note [s].
+/// Delay of poses without a note [s].
 const MAX_LAG: f64 = 1.0;
 
 /// A stream whose frames were tracked while they came.
@@ -91,12 +92,13 @@ impl TrackedStream {
             true => Some(live.frames(first)?),
             false => None,
         };
-        let mut late = 0;
-        let frames = live.frames(&large)?.inspect(|_| late += usize::from(live.has_ended()));
+        let mut lag = Lag::default();
+        let frames =
+            live.frames(&large)?.inspect(|frame| lag.frame(frame.timestamp, Instant::now()));
         let settings = (options, estimate_distortion);
         let tracked = Self::of_frames(&source, (frames, smaller), settings, &context);
-        let note = lag_note(late, &tracked.timestamps);
-        note.iter().for_each(|note| context.observer.note(note));
+        lag.end(Instant::now());
+        lag.note().iter().for_each(|note| context.observer.note(note));
         Ok(tracked)
     }
 
@@ -180,17 +182,44 @@ impl TrackedStream {
     }
 }
 
-/// A note if poses came late: so many frames at the end of a stream were tracked after it had ended. A file that
-/// is piped in faster than it was filmed has one, too.
-fn lag_note(late: usize, timestamps: &[(f64, Option<f64>)]) -> Option<String> {
-    let in_time = timestamps.len().saturating_sub(late + 1);
-    let lag = timestamps.last()?.0 - timestamps[in_time].0;
-    (late > 0 && lag > MAX_LAG).then(|| {
-        format!(
-            "the last {lag:.1} s of the stream were tracked after it had ended: their poses came late; \
-             fewer frames a second, or smaller ones, are tracked in time"
-        )
-    })
+/// Delay of the poses of a stream against its time stamps, counted from the first frame on. A file that is piped in
+/// has one, too, where it is tracked more slowly than it was filmed.
+#[derive(Clone, Copy, Debug, Default)]
+struct Lag {
+    /// Moment and time stamp of the first frame [s].
+    first: Option<(Instant, f64)>,
+    /// Time stamp of the last frame that was taken for tracking [s].
+    last: f64,
+    largest: f64,
+}
+
+impl Lag {
+    /// A frame is taken for tracking, so that the one before has its pose.
+    fn frame(&mut self, timestamp: f64, now: Instant) {
+        match self.first {
+            None => self.first = Some((now, timestamp)),
+            Some(_) => self.end(now),
+        }
+        self.last = timestamp;
+    }
+
+    /// The last frame that was taken has its pose.
+    fn end(&mut self, now: Instant) {
+        if let Some((begin, stamp)) = self.first {
+            let delay = (now - begin).as_secs_f64() - (self.last - stamp);
+            self.largest = self.largest.max(delay);
+        }
+    }
+
+    /// A note if poses came late.
+    fn note(&self) -> Option<String> {
+        (self.largest > MAX_LAG).then(|| {
+            format!(
+                "poses came up to {:.1} s late: fewer frames a second, or smaller ones, are tracked in time",
+                self.largest
+            )
+        })
+    }
 }
 
 /// Time stamps of a frame and its depth [s].

@@ -72,9 +72,7 @@ fn open(arguments: &Info) -> Result<Option<Sequence>, Failure> {
             Ok(Some(sequence))
         }
         Err(error) if sequence::print_keyframes(arguments, with_depth, &error)? => Ok(None),
-        Err(DatasetError::UnknownLayout { has_colour: true, .. }) => {
-            Ok(Some(Sequence::open(path, &colour_alone)?))
-        }
+        Err(_) if is_without_depth(path) => Ok(Some(Sequence::open(path, &colour_alone)?)),
         Err(error) => Err(error.into()),
     }
 }
@@ -156,7 +154,8 @@ fn sequence_rows(sequence: &SequenceInfo) -> Vec<Row> {
         rows.push(("frames with depth", frames_with_depth(sequence)));
     }
     if let Some(scale) = sequence.depth_scale {
-        rows.push(("depth scale", format!("{scale} for one metre")));
+        let assumed = if sequence.is_depth_scale_assumed { ", assumed" } else { "" };
+        rows.push(("depth scale", format!("{scale} for one metre{assumed}")));
     }
     rows.push(("truth", truth(sequence)));
     if let Some([first, end]) = sequence.paper_frames {

@@ -6,7 +6,7 @@ use crate::failure::{Failure, print_json};
 use crate::ground_truth::GroundTruth;
 use i2slam::dataset::import::{ImportOptions, ImportedKeyframes};
 use i2slam::dataset::{
-    DatasetError, DroppedFrames, FrameEntry, OpenOptions, Sequence, paper_frames,
+    DatasetError, DroppedFrames, FrameEntry, Layout, OpenOptions, Sequence, paper_frames,
 };
 use i2slam::geometry::StampedPose;
 use serde::Serialize;
@@ -27,8 +27,9 @@ pub(super) struct SequenceInfo {
     pub(super) left_out: DroppedFrames,
     pub(super) times: TimeInfo,
     pub(super) camera: CameraInfo,
-    /// Depth image value of one metre; `null` without depth.
+    /// Depth image value of one metre; `null` without depth, and where depth is stored in metres.
     pub(super) depth_scale: Option<f64>,
+    pub(super) is_depth_scale_assumed: bool,
     pub(super) truth: GroundTruthInfo,
     /// First frame and the one behind the last that the paper uses of this sequence.
     pub(super) paper_frames: Option<[usize; 2]>,
@@ -87,6 +88,7 @@ impl SequenceInfo {
     pub(super) fn new(sequence: &Sequence, truth: &GroundTruth) -> Self {
         let poses = &truth.trajectory;
         let frames_with_depth = sequence.frames_with_depth();
+        let has_scale = frames_with_depth > 0 && sequence.layout != Layout::Record3d;
         let path_length_m = (!poses.is_empty()).then(|| path_length(poses));
         let truth = GroundTruthInfo { kinds: truth.kinds(), poses: poses.len(), path_length_m };
         Self {
@@ -98,7 +100,8 @@ impl SequenceInfo {
             left_out: sequence.dropped,
             times: TimeInfo::new(sequence),
             camera: CameraInfo::new(sequence),
-            depth_scale: (frames_with_depth > 0).then_some(sequence.depth_scale),
+            depth_scale: has_scale.then_some(sequence.depth_scale),
+            is_depth_scale_assumed: has_scale && sequence.is_depth_scale_assumed,
             truth,
             paper_frames: paper_frames(&sequence.name).map(|range| [range.start, range.end]),
         }
