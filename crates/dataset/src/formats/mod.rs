@@ -232,7 +232,8 @@ impl DetectedLayout {
             return sens::SensFile::open(&file).map(Self::Sens).map(Some);
         }
         let listed = tum::find(path, true).or_else(|| folders::find(path).map(Self::Plain));
-        match record3d::find_archive(path).filter(|_| listed.is_none()) {
+        let is_other = listed.is_some() || folders::find_colour(path).is_some();
+        match record3d::find_archive(path).filter(|_| !is_other) {
             Some(file) => Recording::open_archive(&file).map(Self::Record3d).map(Some),
             None => Ok(listed),
         }

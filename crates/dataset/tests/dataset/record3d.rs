@@ -1,6 +1,6 @@
 //! Recordings of the app Record3D: 48x32 colour, 24x16 depth.
 
-use super::support::{Folder, assert_says, assert_warns, jpeg, zip};
+use super::support::{Folder, assert_says, assert_warns, jpeg, rgb_png, zip};
 use i2slam_dataset::{DatasetError, Layout, OpenOptions, Sequence, is_without_depth};
 use std::path::Path;
 
@@ -135,6 +135,10 @@ fn a_recording_beside_another_sequence_does_not_replace_it() {
     let folder = Folder::tum(2);
     folder.write("other.r3d", b"damaged");
     assert_eq!(open(&folder.0).expect("a sequence").layout, Layout::Tum);
+    let pictures = Folder::new();
+    (0..2).for_each(|i| drop(pictures.write(&format!("{i}.png"), rgb_png(16, 12, 60 + i))));
+    pictures.write("other.r3d", b"damaged");
+    assert!(is_without_depth(&pictures.0));
 }
 
 #[test]
