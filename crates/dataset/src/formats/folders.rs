@@ -43,7 +43,7 @@ fn first_folder(folder: &Path, names: &[&str]) -> Option<PathBuf> {
     names.iter().map(|name| folder.join(name)).find(|path| path.is_dir())
 }
 
-/// Whether a path is a file of an extension, in small or capital letters.
+/// True of a file with an extension, in small or capital letters.
 pub(super) fn is_file_of(path: &Path, extension: &str) -> bool {
     path.extension().is_some_and(|e| e.eq_ignore_ascii_case(extension)) && path.is_file()
 }

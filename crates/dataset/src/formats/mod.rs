@@ -185,17 +185,17 @@ impl DetectedLayout {
         matches!(self, Self::Video)
     }
 
-    /// Whether the sequence is a file that says all about it.
+    /// True of a single file, next to which files of other sequences may lie.
     pub(crate) fn is_file(&self, path: &Path) -> bool {
         self.is_video() || (matches!(self, Self::Record3d(_)) && path.is_file())
     }
 
-    /// Whether depth is stored in metres.
+    /// True if depth is stored in metres.
     pub(crate) fn is_in_metres(&self) -> bool {
         matches!(self, Self::Record3d(_))
     }
 
-    /// Whether the layout has depth, but none of its frames.
+    /// True if the layout has depth, but none of its frames.
     pub(crate) fn lacks_depth(&self) -> bool {
         matches!(self, Self::Record3d(recording) if !recording.has_depth())
     }

@@ -34,7 +34,7 @@ pub(crate) struct Recording {
     frames: BTreeMap<usize, FrameFiles>,
 }
 
-/// What is used of `metadata`.
+/// Fields of `metadata` that are used.
 #[derive(Deserialize)]
 #[serde(rename_all = "camelCase")]
 struct Metadata {
