@@ -215,7 +215,7 @@ impl Lag {
     fn note(&self) -> Option<String> {
         (self.largest > MAX_LAG).then(|| {
             format!(
-                "poses came up to {:.1} s late: fewer frames a second, or smaller ones, are tracked in time",
+                "poses came up to {:.1} s late: fewer frames a second can be tracked in time",
                 self.largest
             )
         })
