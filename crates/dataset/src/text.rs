@@ -1,6 +1,7 @@
 //! Text files of numbers (`#` starts a comment line), and words for messages.
 
 use crate::DatasetError;
+use serde::de::DeserializeOwned;
 use std::path::Path;
 
 /// Lines that are neither blank nor comments, with their numbers counted from 1.
@@ -29,6 +30,19 @@ const MAX_MODEL_TEXT: u64 = 4 << 30;
 pub(crate) fn read_model_text(path: &Path) -> Result<String, DatasetError> {
     let text = i2slam_storage::read_text_up_to(path, MAX_MODEL_TEXT);
     text.map_err(|e| DatasetError::read(path, e))
+}
+
+/// Parses JSON; the reason why it cannot be names key, line and column.
+pub(crate) fn deserialize_json<T: DeserializeOwned>(text: &str) -> Result<T, String> {
+    let mut json = serde_json::Deserializer::from_str(text);
+    let value = serde_path_to_error::deserialize(&mut json).map_err(|error| {
+        let key = error.path().to_string();
+        // Syntax errors and missing keys of the file itself have no path.
+        let at = if key == "." { String::new() } else { format!("{key}: ") };
+        format!("{at}{}", error.inner())
+    })?;
+    json.end().map_err(|error| error.to_string())?;
+    Ok(value)
 }
 
 /// Parses a finite number; `name` is that of its column, for the error.

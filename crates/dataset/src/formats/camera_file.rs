@@ -5,7 +5,7 @@ use super::nerfstudio::TransformsFile;
 use crate::DatasetError;
 use crate::camera::{Calibration, Distortion, FormatDefaults};
 use crate::image::check_pixels;
-use crate::text::{data_lines, parse_number, read_text};
+use crate::text::{data_lines, deserialize_json, parse_number, read_text};
 use i2slam_geometry::Camera;
 use serde::Deserialize;
 use serde::de::IgnoredAny;
@@ -89,7 +89,7 @@ fn parse_json(
 ) -> Result<Calibration, DatasetError> {
     let refuse = |reason: String| DatasetError::file(path, reason);
     let file: CameraFile =
-        serde_json::from_str(text).map_err(|e| refuse(format!("{e}; {EXPECTED_JSON}")))?;
+        deserialize_json(text).map_err(|e| refuse(format!("{e}; {EXPECTED_JSON}")))?;
     file.check(path)?;
     let keys: BTreeMap<String, IgnoredAny> = serde_json::from_str(text).unwrap_or_default();
     check_spelling(path, &keys)?;

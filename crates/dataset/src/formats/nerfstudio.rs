@@ -4,7 +4,7 @@ use super::file_pairing::{last_number, stamped_by_name};
 use super::poses::pose_from_matrix;
 use super::{FrameEntry, Layout, Listing};
 use crate::camera::{Calibration, DepthGrid, Distortion, FormatDefaults};
-use crate::text::{is_present, read_text};
+use crate::text::{deserialize_json, is_present, read_text};
 use crate::{DatasetError, DepthPairing, OpenOptions};
 use i2slam_geometry::Pose;
 use serde::Deserialize;
@@ -46,7 +46,7 @@ impl TransformsFile {
     /// Reads the file; `with_depth` demands a frame with `depth_file_path`.
     pub(crate) fn open(path: &Path, with_depth: bool) -> Result<Self, DatasetError> {
         let refuse = |reason: String| DatasetError::file(path, reason);
-        let mut json: TransformsJson = serde_json::from_str(&read_text(path)?)
+        let mut json: TransformsJson = deserialize_json(&read_text(path)?)
             .map_err(|e| refuse(format!("{e}; expected a transforms.json of nerfstudio")))?;
         json.check().map_err(refuse)?;
         let mut records = std::mem::take(&mut json.frames);

@@ -12,7 +12,7 @@ use super::{DepthEntry, FrameEntry, FrameParts, Layout, Listing};
 use crate::camera::{Calibration, DepthGrid, Distortion, FormatDefaults};
 use crate::file_part::FilePart;
 use crate::image::{DepthEncoding, METRES_AS_INTEGERS, check_pixels};
-use crate::text::{counted, is_present, read_text};
+use crate::text::{counted, deserialize_json, is_present, read_text};
 use crate::{DatasetError, OpenOptions};
 use i2slam_compute::median;
 use serde::Deserialize;
@@ -219,7 +219,7 @@ impl Recording {
 
 impl Metadata {
     fn parse(path: &Path, text: &str) -> Result<Self, DatasetError> {
-        let found: Self = serde_json::from_str(text)
+        let found: Self = deserialize_json(text)
             .map_err(|e| DatasetError::file(path, format!("no JSON object of Record3D: {e}")))?;
         let (width, height) = found.depth_size();
         if [found.w, found.h, width, height].contains(&0) {

@@ -5,7 +5,7 @@ use super::file_pairing::{FilePairs, holds_both, list_images};
 use super::poses::read_matrix_lines;
 use super::{Layout, Listing};
 use crate::camera::{Calibration, Distortion, FormatDefaults};
-use crate::text::{is_present, read_text};
+use crate::text::{deserialize_json, is_present, read_text};
 use crate::{DatasetError, OpenOptions};
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
@@ -65,7 +65,7 @@ pub(super) fn calibration(folders: &ReplicaFolders) -> Result<Calibration, Datas
         return Ok(Calibration { size: Some((1200, 680)), ..found });
     };
     let refuse = |reason: String| DatasetError::file(&path, reason);
-    let CameraFile { camera: c } = serde_json::from_str(&read_text(&path)?)
+    let CameraFile { camera: c } = deserialize_json(&read_text(&path)?)
         .map_err(|e| refuse(format!("{e}; expected camera with w, h, fx, fy, cx, cy, scale")))?;
     if [c.fx, c.fy, c.scale].iter().any(|v| *v <= 0.0) {
         return Err(refuse("fx, fy and scale must be positive".into()));

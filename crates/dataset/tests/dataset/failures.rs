@@ -36,6 +36,8 @@ fn unusable_files_are_named() {
         ("camera.json", r#"{"fx":1,"fy":1,"cx":1}"#.into(), &["missing field `cy`"]),
         ("camera.json", r#"{"fps":24}"#.into(), &["camera.json", "has no fx, fy, cx, cy"]),
         ("camera.json", r#"{"fx":-1,"fy":1,"cx":1,"cy":1}"#.into(), &["fx is -1", "positive"]),
+        ("camera.json", camera(r#""fps":"24""#), &["fps: invalid type: string \"24\"", "line 1"]),
+        ("camera.json", camera(r#""distortion":[0,"a"]"#), &["distortion[1]: invalid type"]),
         ("camera.json", camera(r#""distortion":[1,2]"#), &["k1 k2 p1 p2"]),
         ("camera.json", camera(r#""pixel_centre":1"#), &["0 or 0.5"]),
         ("camera.json", camera(r#""width":5"#), &["both width and height"]),

@@ -165,6 +165,7 @@ fn nerfstudio_files_that_cannot_be_used() {
         (r#""fl_x": 28, "#, "", "no fl_x"),
         (r#""fl_x": 28"#, r#""fl_x": -1"#, "fl_x and fl_y above 0"),
         (r#""w": 32"#, r#""w": 64"#, "expected 64x24"),
+        ("\"transform_matrix\": [[", "\"transform_matrix\": [\"x\", [", "transform_matrix"),
         (r#""w": 32"#, r#""w": 32.5"#, "no size"),
         (r#""w": 32"#, r#""w": 32, "k4": 0.1"#, "k4 is not supported"),
         (r#""w": 32"#, r#""w": 32, "applied_scale": 0"#, "applied_scale is 0"),

@@ -152,6 +152,7 @@ fn damaged_recordings_are_told() {
     for (metadata, problem) in [
         ("{", "no JSON object of Record3D"),
         (r#"{"w": 48}"#, "missing field `h`"),
+        (r#"{"w": 48, "h": "x"}"#, "h: invalid type"),
         (r#"{"w": 48, "h": 32, "dw": 0}"#, "above 0"),
         (r#"{"w": 48, "h": 32, "K": [1, 2]}"#, "expected intrinsics with fx, fy above 0"),
         (r#"{"w": 48, "h": 32, "dw": 90000, "dh": 90000}"#, "megapixels"),
