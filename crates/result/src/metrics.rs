@@ -108,6 +108,8 @@ pub struct Metrics {
     pub lens_distortion: Option<[f64; 2]>,
     /// Unit of length of poses, map and depth: `metre`, or `unknown` of colour alone.
     pub unit_of_length: UnitOfLength,
+    /// Value of depth pictures that was taken for one metre, where nothing gives it.
+    pub depth_scale_assumed: Option<f64>,
     /// Frames of the input, those without a pose included.
     pub frames_given: usize,
     /// Warnings in the order of the run.

@@ -15,8 +15,8 @@ use i2slam_eval::exposure::exposure_agreement;
 use i2slam_eval::trajectory::Alignment;
 use i2slam_result::report::Report;
 use i2slam_result::{
-    FrameFiles, Metrics, ResultError, RunInput, VIEWER_FILE, ViewerPage, load_metrics, save,
-    save_metrics,
+    FrameFiles, Metrics, ResultError, RunInput, UnitOfLength, VIEWER_FILE, ViewerPage,
+    load_metrics, save, save_metrics,
 };
 use i2slam_storage::OutputFolder;
 use std::path::{Path, PathBuf};
@@ -205,6 +205,9 @@ impl Measurements {
         metrics.unordered = outcome.is_unordered;
         metrics.skipped = outcome.frames_skipped;
         metrics.frames_given = outcome.frames_given;
+        let is_assumed =
+            sequence.is_depth_scale_assumed && metrics.unit_of_length == UnitOfLength::Metre;
+        metrics.depth_scale_assumed = is_assumed.then_some(sequence.depth_scale);
         metrics.seconds = outcome.seconds;
         metrics.seconds_per_frame = outcome.seconds / metrics.frames.max(1) as f64;
         metrics.peak_memory_bytes = peak_memory();

@@ -33,6 +33,32 @@ fn a_wrong_depth_scale_is_suspected() {
 }
 
 #[test]
+fn an_assumed_depth_scale_stays_with_the_result() {
+    let room = Room::new("assumed", Scene { frames: 3, ..Scene::default() });
+    let path = room.scratch.join("path.csv");
+    let export = || i2slam!("export", room.out, "--format", "csv", "--out", path, "--overwrite");
+    room.run(&["--render", "none"]).exits_with(0);
+    assert_eq!(number(&room.out.join("metrics.json"), "depth_scale_assumed"), None);
+    assert!(!export().exits_with(0).out.contains("as was assumed"));
+    for list in ["rgb.txt", "depth.txt"] {
+        fs::remove_file(room.data.join(list)).expect("a list");
+    }
+    edit(&room.data.join("camera.json"), |camera| {
+        camera.replace("\"depth_scale\"", "\"of_depth\"")
+    });
+    let ran = room.run(&["--render", "none", "--overwrite"]).exits_with(0);
+    ran.stderr_contains("the depth scale is not given: 5000 is taken for one metre");
+    assert_eq!(number(&room.out.join("metrics.json"), "depth_scale_assumed"), Some(5000.0));
+    let out = export().exits_with(0).out;
+    assert!(
+        out.contains("in metres if 5000 in the depth pictures is one, as was assumed"),
+        "{out}"
+    );
+    let report = fs::read_to_string(room.out.join("report.html")).expect("a report");
+    assert!(report.contains("Lengths hold if 5000 in the depth pictures is one metre"));
+}
+
+#[test]
 fn a_folder_without_a_sequence_is_named_and_nothing_is_written() {
     let scratch = TemporaryFolder::new("missing");
     fs::create_dir(scratch.join("empty")).expect("a folder");

@@ -13,12 +13,16 @@ pub(super) fn lead(report: &Report<'_>) -> String {
         true => "",
         false => " The run was ended early: its map is not refined, or some frames are missing.",
     };
-    let unit = match metrics.unit_of_length {
-        UnitOfLength::Metre => "",
-        UnitOfLength::Unknown => {
-            " Unit of length: unknown, because pictures alone do not tell the scale; where lengths \
-             are given in metres below, read: in that unit, but for errors against ground truth."
-        }
+    let unit = match (metrics.unit_of_length, metrics.depth_scale_assumed) {
+        (UnitOfLength::Metre, None) => String::new(),
+        (UnitOfLength::Metre, Some(scale)) => format!(
+            " Lengths hold if {scale} in the depth pictures is one metre, which was assumed: \
+             <code>--depth-scale</code> gives it."
+        ),
+        (UnitOfLength::Unknown, _) => " Unit of length: unknown, because pictures alone do not \
+             tell the scale; where lengths are given in metres below, read: in that unit, but for \
+             errors against ground truth."
+            .into(),
     };
     format!(
         "{}{} Preset <code>{}</code>, seed {}.{end}{unit}",

@@ -45,9 +45,9 @@ pub(crate) fn export(arguments: &Export) -> Result<(), Failure> {
     interrupt::listen_for("\nending the export, of which nothing is kept; once more ends at once");
     let reconstruction = i2slam_result::load(&arguments.result)?;
     note_edited_trajectory(&arguments.result, &reconstruction);
-    let is_unordered = load_metrics(&arguments.result).is_some_and(|metrics| metrics.unordered);
+    let metrics = load_metrics(&arguments.result).unwrap_or_default();
     let files = FrameFiles::load(&arguments.result)?;
-    let scene = Scene::new(reconstruction, &selection)?.with_files(files, is_unordered);
+    let scene = Scene::new(reconstruction, &selection)?.with_files(files, metrics.unordered);
     let progress = Progress::new(scene.frames(), arguments.machine.quiet);
     let watch = Watch {
         progress: &|name, done, total| progress.step(name, done, total),
@@ -56,7 +56,7 @@ pub(crate) fn export(arguments: &Export) -> Result<(), Failure> {
     let previous = place::keep_previous(arguments)?;
     let written = write(arguments, &scene, views.as_deref(), &watch);
     progress.clear();
-    let what = with_unit(&written?, arguments.format, &scene);
+    let what = with_unit(&written?, arguments.format, (scene.unit(), metrics.depth_scale_assumed));
     print(&format!("{what}, in {}", arguments.out.display()));
     if let Some(previous) = previous.filter(|_| !arguments.machine.quiet) {
         print_status(&format!("the earlier export is in {}", previous.display()));
@@ -214,11 +214,18 @@ fn mark(format: &str) -> String {
     format!("{MARK} --format {format}, version {}", env!("CARGO_PKG_VERSION"))
 }
 
-fn with_unit(what: &str, format: Format, scene: &Scene) -> String {
-    match scene.unit() {
+fn with_unit(
+    what: &str,
+    format: Format,
+    (unit, depth_scale_assumed): (UnitOfLength, Option<f64>),
+) -> String {
+    match (unit, depth_scale_assumed) {
         _ if format == Format::Video => what.to_owned(),
-        UnitOfLength::Metre => format!("{what}, in metres"),
-        UnitOfLength::Unknown => {
+        (UnitOfLength::Metre, None) => format!("{what}, in metres"),
+        (UnitOfLength::Metre, Some(scale)) => {
+            format!("{what}, in metres if {scale} in the depth pictures is one, as was assumed")
+        }
+        (UnitOfLength::Unknown, _) => {
             format!("{what}, in a unit of length that pictures alone do not tell")
         }
     }
