@@ -5,22 +5,25 @@ use i2slam::FrameEstimate;
 use i2slam::dataset::Sequence;
 use i2slam::geometry::Image;
 use i2slam_result::RunInput;
-use std::error::Error;
 use std::path::Path;
 use std::sync::Arc;
 
 /// The sequence that a result was made of, where it is still there; else a warning that says what is
 /// `missing` without it.
 pub(crate) fn sequence_of(result: &Path, missing: &str) -> Option<Sequence> {
-    open_input(result).unwrap_or_else(|error| {
-        print_status(&format!("warning: {missing}: {error}"));
-        None
-    })
-}
-
-fn open_input(result: &Path) -> Result<Option<Sequence>, Box<dyn Error>> {
-    let Some(input) = RunInput::load(result)? else { return Ok(None) };
-    Ok(Some(Sequence::open(&input.dataset, &input.options)?))
+    let warn = |reason: &str| print_status(&format!("warning: {missing}: {reason}"));
+    let input = RunInput::load(result).map_err(|error| warn(&error.to_string())).ok()??;
+    match Sequence::open(&input.dataset, &input.options) {
+        Ok(sequence) => Some(sequence),
+        Err(error) => {
+            let file = result.join("input.json");
+            let file = file.display();
+            warn(&format!(
+                "{error}; if it was moved, write its new place into `dataset` of {file}"
+            ));
+            None
+        }
+    }
 }
 
 /// A loader of the picture of a frame; `None` where it cannot be read.

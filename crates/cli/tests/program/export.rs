@@ -98,14 +98,22 @@ fn pictures_have_detail_of_those_taken_while_the_map_is_whole_and_these_are_ther
     let out = room.scratch.join("alone");
     i2slam!("export", room.out, "--format", "colmap", "--out", out)
         .exits_with(0)
-        .stderr_contains("the pictures are the map's alone");
+        .stderr_contains("the pictures are the map's alone")
+        .stderr_contains("if it was moved, write its new place into `dataset` of");
     let alone = pictures(&out);
+    let input = room.out.join("input.json");
+    let text = fs::read_to_string(&input).expect("the input");
+    let moved = room.scratch.join("elsewhere");
+    let [before, after] = [&room.data, &moved].map(|path| path.to_str().expect("a plain path"));
+    fs::write(&input, text.replace(before, after)).expect("room");
+    let again = pictures(&export(&room, "colmap", "again", &[]));
     fs::write(room.out.join("input.json"), "{").expect("room");
     i2slam!("export", room.out, "--format", "html", "--out", room.scratch.join("page.html"))
         .exits_with(0)
         .stderr_contains("input.json");
     assert_eq!(whole.len(), 4);
     assert_eq!(cut, alone);
+    assert_eq!(again, whole);
     assert!(whole.iter().zip(&alone).all(|(whole, alone)| whole != alone));
 }
 
