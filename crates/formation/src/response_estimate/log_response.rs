@@ -35,15 +35,15 @@ pub struct LogResponse {
 
 /// The curve at one picture value.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
-pub(super) struct Row {
+struct Row {
     /// `ln x`, 0 at the first row.
-    pub(super) log: f64,
+    log: f64,
     /// `d ln x / d ln y`.
-    pub(super) slope: f64,
+    slope: f64,
     /// Derivatives of `log` by `d` at the knots.
-    pub(super) by_knots: [f64; COUNT],
+    by_knots: [f64; COUNT],
     /// The knot before and the share of the next one: derivatives of the logarithm of `slope`.
-    pub(super) knot: (usize, f64),
+    knot: (usize, f64),
 }
 
 /// `ln s₀` at all rows of the table from the first on.
@@ -112,7 +112,7 @@ impl LogResponse {
     }
 
     /// The row before a picture value and the share of the next one.
-    pub(super) fn place(&self, y: f64) -> (&Row, &Row, f64) {
+    fn place(&self, y: f64) -> (&Row, &Row, f64) {
         let at = (y * STEPS as f64 - FIRST_ROW as f64).clamp(0.0, (self.rows.len() - 1) as f64);
         let left = (at as usize).min(self.rows.len() - 2);
         (&self.rows[left], &self.rows[left + 1], at - left as f64)
@@ -128,6 +128,12 @@ impl LogResponse {
     pub fn slope(&self, y: f64) -> f64 {
         let (left, right, share) = self.place(y);
         left.slope + (right.slope - left.slope) * share
+    }
+
+    /// Derivatives of [`log_linear`](Self::log_linear) by `d` at the knots.
+    pub(super) fn by_knots(&self, y: f64) -> [f64; COUNT] {
+        let (left, right, share) = self.place(y);
+        std::array::from_fn(|k| left.by_knots[k] + (right.by_knots[k] - left.by_knots[k]) * share)
     }
 
     /// `curves` copies of it as a camera response, whose linear value 1 is that of white. What 8 bits do
@@ -146,7 +152,7 @@ impl LogResponse {
     }
 
     /// Picture value of `ln x`, extrapolated at both ends with the slope there.
-    fn picture_value(&self, log: f64) -> f64 {
+    pub(super) fn picture_value(&self, log: f64) -> f64 {
         let first = FIRST_ROW as f64 / STEPS as f64;
         if log <= self.rows[0].log {
             return first * ((log - self.rows[0].log) / self.rows[0].slope).exp();

@@ -11,19 +11,23 @@
 //! different exposure tell the shape of `h`; its scale, a power of linear values, they do not: the start
 //! curve gives it, until blur tells it ([`estimate_power`](crate::blur_estimate::estimate_power)).
 //!
-//! Residuals count in the noise of the picture values, `ε = (h(y₁) - h(y₂) - g) / D` with
-//! `D² = (h'σ)₁² + (h'σ)₂²`: compared in `h`, a flat curve would explain everything. The density of
-//! `y₂` given `y₁` has the factor `h'₂ / D`, so that the cost of a point is
+//! A residual `r = h(y₁) - h(y₂) - ln v(r₁) + ln v(r₂) - g` counts in the noise of the picture values,
+//! `ε = r / D` with `D² = (h'σ)₁² + (h'σ)₂²`. The noise that is in `r` is in `y₁` and `y₂`, too: derivatives and
+//! `D` taken there go up and down with `r`, and so does whether a point is bright enough to count. What
+//! follows is a bias that grows with the noise, in the dark before all, where few points are. All three are
+//! taken at the [common light](common_light) of both pictures instead, which is independent of `r`
+//! (instrumental variables). The offsets `d` of the logarithmic slope at the knots ([`LogResponse`]), a
+//! random walk from knot to knot, are where
 //!
 //! ```text
-//! ε² + ln(D² / ((h'σ)₁ (h'σ)₂))
+//! Σ w ∂(h(ŷ₁) - h(ŷ₂) - g)/∂d r / (s D)² + (prior) = 0        w = 1/(1 + ε²/(c s)²)²
 //! ```
 //!
-//! without whose second term curves that grow exponentially would explain everything, too. The loss of
-//! `ε` is `ε²/(1 + ε²/c²)` (Geman and McClure 1985), which is bounded: under one that is not, outliers
-//! bend the curve until they cost less. Gauss-Newton with Levenberg's damping on the offsets `d` of the
-//! logarithmic slope at the knots ([`LogResponse`]), which are a random walk from knot to knot.
+//! with the robust deviation `s` of `ε`. `w` is that of Geman and McClure's loss (1985), which is bounded:
+//! under one that is not, outliers bend the curve until they cost less. There is no cost that falls from
+//! step to step; steps are halved when they grow.
 
+mod common_light;
 mod log_response;
 #[cfg(test)]
 mod tests;
@@ -31,16 +35,14 @@ mod tests;
 pub use log_response::LogResponse;
 
 use crate::tone::{ResponseCurve, StartCurve};
+use common_light::{CommonLight, common_lights};
 use i2slam_compute::{SIGMA_PER_MEDIAN, median, solve_positive_definite};
 use log_response::{COUNT, KNOTS, log_slopes};
 use rayon::prelude::*;
 
-/// Steps of Gauss-Newton at most, weights renewed with each, and dampings that each tries.
-const STEPS: usize = 20;
-const TRIES: usize = 6;
-/// Change of every `d` below which a step is the last, and damping beyond which none is tried.
-const MIN_STEP: f64 = 1e-3;
-const MAX_DAMPING: f64 = 1e3;
+/// Steps at most, and the change of every `d` below which one is the last.
+const STEPS: usize = 40;
+const MIN_STEP: f64 = 5e-3;
 /// Standard deviation of the change of `d` from one knot to the next: of the order of what tells
 /// published responses apart.
 const WALK_DEVIATION: f64 = 0.3;
@@ -65,7 +67,7 @@ pub struct ValuePair {
     pub log_vignetting: f64,
 }
 
-/// Robust deviation of the residuals of groups of points that share a gain, by a curve `y ↦ (h, h')`
+/// Robust deviation of the residuals of groups of points that share a gain at their picture values, by a curve `y ↦ (h, h')`
 /// with `h' = d h / d ln y`, times the root of the mean of `D² / ((h'σ)₁ (h'σ)₂)`; `None` without points.
 fn robust_deviation(
     groups: &[Vec<ValuePair>],
@@ -112,210 +114,26 @@ fn deviation_by_curve(groups: &[Vec<ValuePair>], response: &LogResponse) -> Opti
 }
 
 /// The response that explains the points of all groups best, each group with a gain of its own; `None`
-/// of too few. `repeats` says how often each point is compared, with the error that it has: so many
-/// comparisons count as one.
+/// of too few, or where they point to none. `repeats` says how often each point is compared, with the error
+/// that it has: so many comparisons count as one.
 pub fn estimate(groups: &[Vec<ValuePair>], repeats: f64, start: StartCurve) -> Option<LogResponse> {
-    let groups: Vec<&Vec<ValuePair>> = groups.iter().filter(|group| group.len() > 1).collect();
-    if groups.iter().map(|group| group.len()).sum::<usize>() < MIN_POINTS {
-        return None;
-    }
     let start = log_slopes(start);
-    let mut best = LogResponse::new(&start, [0.0; COUNT]);
-    let mut damping = 1e-3;
+    let mut found = LogResponse::new(&start, [0.0; COUNT]);
+    let (mut length, mut last_change) = (1.0, f64::INFINITY);
     for _ in 0..STEPS {
-        let scale = robust_scale(&groups, &best)?;
-        let weights = robust_weights(&groups, &best, scale);
-        let share = 1.0 / repeats.max(1.0);
-        let objective = Objective { groups: &groups, weights, scale, share };
-        let system = objective.normal_equations(&best);
-        let cost = objective.cost(&best);
-        let mut change = None;
-        for _ in 0..TRIES {
-            let offsets = system.step(best.offsets(), damping)?;
-            let next = LogResponse::new(&start, offsets);
-            if objective.cost(&next) <= cost {
-                let changes = best.offsets().iter().zip(next.offsets()).map(|(a, b)| (a - b).abs());
-                change = Some(changes.fold(0.0, f64::max));
-                best = next;
-                damping *= 0.3;
-                break;
-            }
-            damping *= 10.0;
+        let step = System::new(groups, repeats, &found)?.solve()?;
+        let change = step.iter().fold(0.0, |most: f64, d| most.max(d.abs()));
+        if change > last_change {
+            length *= 0.5;
         }
-        // A short step under strong damping says nothing.
-        let is_converged = match change {
-            Some(change) => change < MIN_STEP && damping < 1.0,
-            None => damping > MAX_DAMPING,
-        };
-        if is_converged {
+        last_change = change;
+        let offsets = std::array::from_fn(|k| found.offsets()[k] + length * step[k]);
+        found = LogResponse::new(&start, offsets);
+        if !change.is_finite() || change < MIN_STEP {
             break;
         }
     }
-    best.offsets().iter().all(|d| d.is_finite()).then_some(best)
-}
-
-fn robust_scale(groups: &[&Vec<ValuePair>], curve: &LogResponse) -> Option<f64> {
-    let residuals = |group: &&Vec<ValuePair>| {
-        let residuals = Residuals::new(group, curve);
-        residuals.points.into_iter().map(|point| point.residual.abs()).collect::<Vec<f64>>()
-    };
-    let mut all: Vec<f64> = groups.par_iter().flat_map_iter(residuals).collect();
-    let scale = SIGMA_PER_MEDIAN * median(&mut all)?;
-    (scale > 0.0 && scale.is_finite()).then_some(scale)
-}
-
-/// `1/(1 + ε²/(c s)²)²` of all points.
-fn robust_weights(groups: &[&Vec<ValuePair>], curve: &LogResponse, scale: f64) -> Vec<Vec<f64>> {
-    let weight =
-        |point: &PointResidual| (1.0 + (point.residual / (LOSS_SCALE * scale)).powi(2)).powi(-2);
-    let of_group =
-        |group: &&Vec<ValuePair>| Residuals::new(group, curve).points.iter().map(weight).collect();
-    groups.par_iter().map(of_group).collect()
-}
-
-/// Residuals of a group, its gain taken out.
-struct Residuals {
-    points: Vec<PointResidual>,
-}
-
-struct PointResidual {
-    /// `ε`.
-    residual: f64,
-    /// Derivatives of `h(y₁) - h(y₂)` by the knots.
-    by_knots: [f64; COUNT],
-    /// `√((h'σ)₁² + (h'σ)₂²)`.
-    deviation: f64,
-    /// Derivatives of its logarithm by the knots.
-    log_deviation_by_knots: [f64; COUNT],
-    /// Share of the first picture in its square.
-    first_share: f64,
-    /// Derivatives of `ln (h'σ)₁ - ln (h'σ)₂` by the knots.
-    log_ratio_by_knots: [f64; COUNT],
-}
-
-impl Residuals {
-    fn new(group: &[ValuePair], curve: &LogResponse) -> Self {
-        let mut points: Vec<PointResidual> =
-            group.iter().map(|point| PointResidual::new(point, curve)).collect();
-        let weights: f64 = points.iter().map(|point| point.deviation.powi(-2)).sum();
-        let mean = |of: &dyn Fn(&PointResidual) -> f64| {
-            points.iter().map(|point| of(point) / point.deviation.powi(2)).sum::<f64>() / weights
-        };
-        // Outliers do not move the median, of which the derivative is taken as that of the mean.
-        let mut differences: Vec<f64> = points.iter().map(|point| point.residual).collect();
-        let gain = median(&mut differences).unwrap_or(0.0);
-        let gain_by_knots: [f64; COUNT] = std::array::from_fn(|k| mean(&|point| point.by_knots[k]));
-        for point in &mut points {
-            point.residual = (point.residual - gain) / point.deviation;
-            (0..COUNT).for_each(|k| point.by_knots[k] -= gain_by_knots[k]);
-        }
-        Self { points }
-    }
-}
-
-impl PointResidual {
-    /// Before the gain is known: the residual is a difference of logarithms.
-    fn new(pair: &ValuePair, curve: &LogResponse) -> Self {
-        let (mut difference, mut variance) = (-pair.log_vignetting, 0.0);
-        let (mut by_knots, mut variance_by_knots) = ([0.0; COUNT], [0.0; COUNT]);
-        let (mut first_variance, mut log_ratio_by_knots) = (0.0, [0.0; COUNT]);
-        for (k, sign) in [1.0, -1.0].into_iter().enumerate() {
-            let y = pair.values[k];
-            let (left, right, share) = curve.place(y);
-            let mix = |a: f64, b: f64| a + (b - a) * share;
-            difference += sign * mix(left.log, right.log);
-            let noise = mix(left.slope, right.slope) * pair.deviations[k] / y;
-            variance += noise * noise;
-            if k == 0 {
-                first_variance = variance;
-            }
-            let by_slope = noise * pair.deviations[k] / y;
-            for (row, weight) in [(left, 1.0 - share), (right, share)] {
-                let (knot, part) = row.knot;
-                for (knot, part) in [(knot, 1.0 - part), (knot + 1, part)] {
-                    let slope_by_knot = weight * row.slope * part;
-                    variance_by_knots[knot] += by_slope * slope_by_knot;
-                    let log_slope_by_knot = slope_by_knot / mix(left.slope, right.slope);
-                    log_ratio_by_knots[knot] += sign * log_slope_by_knot;
-                }
-            }
-            for (at, sum) in by_knots.iter_mut().enumerate() {
-                *sum += sign * mix(left.by_knots[at], right.by_knots[at]);
-            }
-        }
-        Self {
-            residual: difference,
-            by_knots,
-            deviation: variance.sqrt(),
-            log_deviation_by_knots: variance_by_knots.map(|d| d / variance),
-            first_share: first_variance / variance,
-            log_ratio_by_knots,
-        }
-    }
-
-    /// `ln(D² / ((h'σ)₁ (h'σ)₂))`.
-    fn log_density(&self) -> f64 {
-        -0.5 * (self.first_share * (1.0 - self.first_share)).ln()
-    }
-
-    /// Derivative of `ε` by a knot.
-    fn slope(&self, knot: usize) -> f64 {
-        self.by_knots[knot] / self.deviation - self.residual * self.log_deviation_by_knots[knot]
-    }
-}
-
-struct Objective<'a> {
-    groups: &'a [&'a Vec<ValuePair>],
-    /// Robust weights of the points, for the second term of their cost.
-    weights: Vec<Vec<f64>>,
-    /// Robust deviation of the residuals.
-    scale: f64,
-    /// Weight of a comparison.
-    share: f64,
-}
-
-impl Objective<'_> {
-    /// `Σ share (e²/(1 + e²/c²) + w ln(D² / ((h'σ)₁ (h'σ)₂))) + prior` with `e = ε/s`.
-    fn cost(&self, curve: &LogResponse) -> f64 {
-        let s2 = self.scale.powi(2);
-        let of_group = |(group, weights): (&&Vec<ValuePair>, &Vec<f64>)| {
-            let residuals = Residuals::new(group, curve);
-            let loss = |(point, weight): (&PointResidual, &f64)| {
-                let e2 = point.residual.powi(2) / s2;
-                e2 / (1.0 + e2 / LOSS_SCALE.powi(2)) + weight * point.log_density()
-            };
-            residuals.points.iter().zip(weights).map(loss).sum::<f64>()
-        };
-        let sums: Vec<f64> = self.groups.par_iter().zip(&self.weights).map(of_group).collect();
-        self.share * sums.iter().sum::<f64>() + prior(curve.offsets())
-    }
-
-    fn normal_equations(&self, curve: &LogResponse) -> System {
-        let of_group = |(group, weights): (&&Vec<ValuePair>, &Vec<f64>)| {
-            let mut system = System::default();
-            for (point, weight) in Residuals::new(group, curve).points.iter().zip(weights) {
-                let weight = self.share * weight;
-                let slopes: [f64; COUNT] = std::array::from_fn(|k| point.slope(k));
-                system.add(&slopes, point.residual, weight / self.scale.powi(2));
-                // Half of ln(D²/(ab)) has the derivative w - ½ by ln(a/b), w = a²/D², and the second
-                // derivative 2 w (1 - w).
-                let share = point.first_share;
-                let curvature = (2.0 * share * (1.0 - share)).max(1e-6);
-                system.add(
-                    &point.log_ratio_by_knots,
-                    (share - 0.5) / curvature,
-                    weight * curvature,
-                );
-            }
-            system
-        };
-        let pairs = self.groups.par_iter().zip(&self.weights);
-        let parts: Vec<System> = pairs.map(of_group).collect();
-        let mut sum = System::default();
-        parts.iter().for_each(|part| sum.merge(part));
-        sum.add_prior(curve.offsets());
-        sum
-    }
+    (last_change < MIN_STEP).then_some(found)
 }
 
 /// Knots whose mean is tied.
@@ -328,40 +146,77 @@ fn tied_mean(offsets: &[f64; COUNT]) -> f64 {
     tied.clone().map(|k| offsets[k]).sum::<f64>() / tied.count() as f64
 }
 
-/// `Σ (d_{k+1} - d_k)²/σ² + w mean(d)²`.
-fn prior(offsets: &[f64; COUNT]) -> f64 {
-    let walk = offsets.windows(2).map(|w| ((w[1] - w[0]) / WALK_DEVIATION).powi(2));
-    walk.sum::<f64>() + TIE_WEIGHT * tied_mean(offsets).powi(2)
-}
-
-/// Normal equations of half the cost.
+/// Linear equations of a step of `d`.
 #[derive(Clone)]
 struct System {
-    hessian: [[f64; COUNT]; COUNT],
-    gradient: [f64; COUNT],
+    matrix: [[f64; COUNT]; COUNT],
+    right: [f64; COUNT],
 }
 
 impl Default for System {
     fn default() -> Self {
-        Self { hessian: [[0.0; COUNT]; COUNT], gradient: [0.0; COUNT] }
+        Self { matrix: [[0.0; COUNT]; COUNT], right: [0.0; COUNT] }
     }
 }
 
 impl System {
+    /// `None` of too few points.
+    fn new(groups: &[Vec<ValuePair>], repeats: f64, curve: &LogResponse) -> Option<Self> {
+        let of_group = |group: &Vec<ValuePair>| common_lights(group, curve);
+        let groups: Vec<Vec<CommonLight>> = groups.par_iter().map(of_group).collect();
+        let mut all: Vec<f64> =
+            groups.iter().flatten().map(|point| point.normalized().abs()).collect();
+        if all.len() < MIN_POINTS {
+            return None;
+        }
+        let scale = SIGMA_PER_MEDIAN * median(&mut all)?;
+        if !(scale > 0.0 && scale.is_finite()) {
+            return None;
+        }
+        let share = 1.0 / repeats.max(1.0);
+        let of_group = |group: &Vec<CommonLight>| Self::of_group(group, curve, scale, share);
+        let parts: Vec<Self> = groups.par_iter().map(of_group).collect();
+        let mut sum = Self::default();
+        parts.iter().for_each(|part| sum.merge(part));
+        sum.add_prior(curve.offsets());
+        Some(sum)
+    }
+
+    fn of_group(group: &[CommonLight], curve: &LogResponse, scale: f64, share: f64) -> Self {
+        let weight = |point: &CommonLight| {
+            let bounded = 1.0 + (point.normalized() / (LOSS_SCALE * scale)).powi(2);
+            share / (bounded * scale * point.deviation).powi(2)
+        };
+        let weights: Vec<f64> = group.iter().map(weight).collect();
+        let total: f64 = weights.iter().sum();
+        let slopes: Vec<[f64; COUNT]> = group.iter().map(|point| point.slopes(curve)).collect();
+        let weighted = || slopes.iter().zip(&weights);
+        // The gain takes up what all have in common.
+        let mean: [f64; COUNT] =
+            std::array::from_fn(|k| weighted().map(|(s, w)| w * s[k]).sum::<f64>() / total);
+        let mut system = Self::default();
+        for ((slopes, weight), point) in weighted().zip(group) {
+            let slopes = std::array::from_fn(|k| slopes[k] - mean[k]);
+            system.add(&slopes, point.residual, *weight);
+        }
+        system
+    }
+
     fn add(&mut self, slopes: &[f64; COUNT], residual: f64, weight: f64) {
-        for (a, row) in self.hessian.iter_mut().enumerate() {
+        for (a, row) in self.matrix.iter_mut().enumerate() {
             let slope = weight * slopes[a];
-            self.gradient[a] += slope * residual;
+            self.right[a] -= slope * residual;
             row.iter_mut().zip(slopes).for_each(|(sum, other)| *sum += slope * other);
         }
     }
 
     fn merge(&mut self, other: &Self) {
-        let sums = self.hessian.iter_mut().flatten().zip(other.hessian.iter().flatten());
+        let sums = self.matrix.iter_mut().flatten().zip(other.matrix.iter().flatten());
         sums.for_each(|(sum, value)| *sum += value);
-        self.gradient.iter_mut().zip(other.gradient).for_each(|(sum, value)| *sum += value);
+        self.right.iter_mut().zip(other.right).for_each(|(sum, value)| *sum += value);
     }
 
+    /// That of `Σ (d_{k+1} - d_k)²/σ² + w mean(d)²`.
     fn add_prior(&mut self, offsets: &[f64; COUNT]) {
         for k in 0..COUNT - 1 {
             let mut slopes = [0.0; COUNT];
@@ -373,12 +228,10 @@ impl System {
         self.add(&slopes, tied_mean(offsets), TIE_WEIGHT);
     }
 
-    /// The offsets after a damped step.
-    fn step(&self, from: &[f64; COUNT], damping: f64) -> Option<[f64; COUNT]> {
-        let mut matrix: Vec<f64> = self.hessian.iter().flatten().copied().collect();
-        (0..COUNT).for_each(|k| matrix[k * (COUNT + 1)] *= 1.0 + damping);
-        let mut step = self.gradient;
-        solve_positive_definite(&mut matrix, &mut step)
-            .then(|| std::array::from_fn(|k| from[k] - step[k]))
+    /// Change of the offsets.
+    fn solve(&self) -> Option<[f64; COUNT]> {
+        let mut matrix: Vec<f64> = self.matrix.iter().flatten().copied().collect();
+        let mut step = self.right;
+        solve_positive_definite(&mut matrix, &mut step).then_some(step)
     }
 }

@@ -107,25 +107,55 @@ fn too_few_points_tell_nothing() {
     assert_eq!(estimate(&[], 1.0, StartCurve::Shoulder), None);
 }
 
+/// Points of a scene that gets darker, few of them in the dark, with noise other than claimed.
+fn dark_groups(response: impl Fn(f64) -> f64, noise_of_value: f64) -> Vec<Vec<ValuePair>> {
+    let pair = |index: u64| {
+        let gain = (0.2 * index as f64 - 2.4).exp2();
+        let (radiance, errors) = (noise(3 * index + 1, 600), noise(3 * index + 2, 1200));
+        let point = |i: usize| {
+            let x = (3.0 * radiance[i] - 3.5).exp2();
+            // Of two evenly spread errors each.
+            let error = |k: usize| noise_of_value * (errors[k] + errors[(k + 600) % 1200]);
+            let shown = |x: f64, e: f64| (response(x) + e).clamp(1.0 / 255.0, 1.0);
+            ValuePair {
+                values: [shown(x, error(i)), shown(gain * x, error(599 - i))],
+                deviations: [0.01; 2],
+                log_vignetting: 0.0,
+            }
+        };
+        (0..600).map(point).filter(|p| p.values.iter().all(|v| *v < 0.985)).collect()
+    };
+    (0..24).map(pair).collect()
+}
+
 #[test]
-fn slopes_of_residuals_agree_with_differences() {
+fn noise_does_not_bend_the_dark_end() {
+    let start = StartCurve::Shoulder;
+    let true_curve = LogResponse::new(&log_slopes(start), [0.0; COUNT]);
+    for noise_of_value in [0.001, 0.01, 0.025] {
+        let points = dark_groups(|x| start.evaluate(x.min(1.0)), noise_of_value);
+        let found = estimate(&points, 1.0, start).expect("points");
+        for y in [0.04, 0.06, 0.08, 0.12, 0.2] {
+            let log = |curve: &LogResponse| curve.log_linear(y) - curve.log_linear(0.5);
+            let apart = (log(&found) - log(&true_curve)) / 2.0_f64.ln();
+            assert!(apart.abs() < 0.25, "{noise_of_value} {y}: {apart} stops");
+        }
+    }
+}
+
+#[test]
+fn slopes_of_the_curve_agree_with_differences() {
     let start = log_slopes(StartCurve::Shoulder);
     let at: Vec<f64> = noise(5, COUNT).iter().map(|n| 0.3 * n).collect();
     let curve = |x: &[f64]| LogResponse::new(&start, std::array::from_fn(|k| x[k]));
-    let pair =
-        ValuePair { values: [0.213, 0.871], deviations: [0.004, 0.007], log_vignetting: 0.1 };
-    let gain = 0.3;
-    let residual = |curve: &LogResponse| {
-        let mut point = PointResidual::new(&pair, curve);
-        point.residual = (point.residual - gain) / point.deviation;
-        point
+    let values = [0.213, 0.871];
+    let [first, second] = values.map(|y| curve(&at).by_knots(y));
+    let slopes: Vec<f64> = (0..COUNT).map(|k| first[k] - second[k]).collect();
+    let difference = |x: &[f64]| {
+        let [first, second] = values.map(|y| curve(x).log_linear(y));
+        first - second
     };
-    let point = residual(&curve(&at));
-    let slopes: Vec<f64> = (0..COUNT).map(|k| point.slope(k)).collect();
-    assert_gradient("residual", &at, &slopes, 1e-5, 1e-6, |x| residual(&curve(x)).residual);
-    let factor = 2.0 * point.first_share - 1.0;
-    let slopes = point.log_ratio_by_knots.map(|slope| factor * slope);
-    assert_gradient("density", &at, &slopes, 1e-5, 1e-6, |x| residual(&curve(x)).log_density());
+    assert_gradient("difference", &at, &slopes, 1e-5, 1e-6, difference);
 }
 
 #[test]

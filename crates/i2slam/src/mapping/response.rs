@@ -22,6 +22,9 @@ use std::collections::BTreeMap;
 
 /// Picture values that are compared: darker ones are steps of 8 bits, brighter ones clipped.
 pub(super) const COMPARED: [f32; 2] = [0.08, 0.985];
+/// Darkest picture value that counts for the shape of the response, which weighs noise: black has no
+/// logarithm.
+const MIN_VALUE: f32 = 1.0 / 255.0;
 /// Standard deviation of a picture value in a plain area.
 const VALUE_DEVIATION: f64 = 0.003;
 /// Ratio of the residuals' deviation by the former response to that by the found one from which it
@@ -282,20 +285,25 @@ fn range_in_stops(gains: &[BTreeMap<usize, f64>; 3]) -> f64 {
 /// Picture values of the points that pairs of frames see, by channel.
 struct PairedValues {
     frames: Vec<[usize; 2]>,
+    /// Those that are not clipped.
+    all: [Vec<Vec<ValuePair>>; 3],
+    /// Those of [`COMPARED`].
     points: [Vec<Vec<ValuePair>>; 3],
 }
 
 impl PairedValues {
     fn new(compared: &[ComparedViews], lens: Vignetting<f32>) -> Self {
-        let of_channel = |channel| {
-            let pairs = |views: &ComparedViews| {
-                let pair = |points: &SamplePair| value_pair(points, channel, lens);
-                views.points.iter().filter_map(pair).collect()
-            };
-            compared.par_iter().map(pairs).collect()
+        let within = |values: [f32; 2]| {
+            std::array::from_fn(|channel| {
+                let pairs = |views: &ComparedViews| {
+                    let pair = |points: &SamplePair| value_pair(points, (channel, values), lens);
+                    views.points.iter().filter_map(pair).collect()
+                };
+                compared.par_iter().map(pairs).collect()
+            })
         };
         let frames = compared.iter().map(|views| views.frames).collect();
-        Self { frames, points: std::array::from_fn(of_channel) }
+        Self { frames, all: within([MIN_VALUE, COMPARED[1]]), points: within(COMPARED) }
     }
 
     /// The response that explains the points better than the former one; `None` where none does, or
@@ -308,8 +316,7 @@ impl PairedValues {
         let former = response.curve();
         // Of n views, a point of the first is compared with n - 1 others, of the last with none.
         let repeats = (2.0 * self.frames.len() as f64).sqrt() / 2.0;
-        let all = self.points.concat();
-        let found = estimate(&all, repeats, response.start())?;
+        let found = estimate(&self.all.concat(), repeats, response.start())?;
         let next = found.camera_response(response.nodes.len(), response.start());
         let gains = self.gains(&next.curve(), gauge_frame, &[]);
         let is_observable = range_in_stops(&gains) >= MIN_EXPOSURE_RANGE;
@@ -356,11 +363,15 @@ impl PairedValues {
     }
 }
 
-/// A point in one channel; `None` where it is badly exposed.
-fn value_pair(points: &SamplePair, channel: usize, lens: Vignetting<f32>) -> Option<ValuePair> {
+/// A point in one channel; `None` where a picture value is not between two.
+fn value_pair(
+    points: &SamplePair,
+    (channel, [low, high]): (usize, [f32; 2]),
+    lens: Vignetting<f32>,
+) -> Option<ValuePair> {
     let of = |sample: &PictureSample| (sample.values[channel], sample.slopes[channel]);
     let [(first, _), (second, _)] = [&points[0], &points[1]].map(of);
-    let is_exposed = [first, second].iter().all(|v| (COMPARED[0]..=COMPARED[1]).contains(v));
+    let is_exposed = [first, second].iter().all(|v| (low..=high).contains(v));
     let deviation = |sample: &PictureSample| {
         VALUE_DEVIATION.hypot(PLACE_DEVIATION * f64::from(sample.slopes[channel]))
     };
