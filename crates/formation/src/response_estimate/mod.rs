@@ -15,7 +15,7 @@
 //! `ε = r / D` with `D² = (h'σ)₁² + (h'σ)₂²`. The noise that is in `r` is in `y₁` and `y₂`, too: derivatives and
 //! `D` taken there go up and down with `r`, and so does whether a point is bright enough to count. What
 //! follows is a bias that grows with the noise, in the dark before all, where few points are. All three are
-//! taken at the [common light](common_light) of both pictures instead, which is independent of `r`
+//! taken at the common light of both pictures instead, which is independent of `r`
 //! (instrumental variables). The offsets `d` of the logarithmic slope at the knots ([`LogResponse`]), a
 //! random walk from knot to knot, are where
 //!
