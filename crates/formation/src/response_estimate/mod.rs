@@ -67,8 +67,8 @@ pub struct ValuePair {
     pub log_vignetting: f64,
 }
 
-/// Robust deviation of the residuals of groups of points that share a gain at their picture values, by a curve `y ↦ (h, h')`
-/// with `h' = d h / d ln y`, times the root of the mean of `D² / ((h'σ)₁ (h'σ)₂)`; `None` without points.
+/// Robust deviation of the residuals of groups of points that share a gain, taken at their picture values,
+/// by a curve `y ↦ (h, h')` with `h' = d h / d ln y`, times the root of the mean of `D² / ((h'σ)₁ (h'σ)₂)`; `None` without points.
 fn robust_deviation(
     groups: &[Vec<ValuePair>],
     curve: impl Fn(f64) -> (f64, f64) + Sync,
@@ -128,12 +128,16 @@ pub fn estimate(groups: &[Vec<ValuePair>], repeats: f64, start: StartCurve) -> O
         }
         last_change = change;
         let offsets = std::array::from_fn(|k| found.offsets()[k] + length * step[k]);
+        // The largest of numbers that are none is 0.
+        if !offsets.iter().all(|d: &f64| d.is_finite()) {
+            return None;
+        }
         found = LogResponse::new(&start, offsets);
-        if !change.is_finite() || change < MIN_STEP {
-            break;
+        if change < MIN_STEP {
+            return Some(found);
         }
     }
-    (last_change < MIN_STEP).then_some(found)
+    None
 }
 
 /// Knots whose mean is tied.
