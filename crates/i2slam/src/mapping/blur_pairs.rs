@@ -7,7 +7,7 @@
 use super::context::MappingContext;
 use super::keyframe::Keyframe;
 use super::mapper::Mapper;
-use super::surface_pairs::{MomentSamples, PictureSample, View, place_within};
+use super::view::{MomentSamples, PictureSample, View, place_within};
 use crate::objective::blur_length;
 use i2slam_formation::blur_estimate::SHARP_PICTURES;
 use i2slam_geometry::{Camera, Image};
@@ -80,7 +80,7 @@ pub(super) fn moved_pixels(
         let point = blurred.surface_point(camera, place, 0.0)?;
         let along = |sharp: &View| sharp.samples_along(camera, valid_mask, (blurred, place));
         let [Some(first), Some(second)] = sharp.each_ref().map(along) else { return None };
-        let blurred = blurred.cubic_sample_of(camera, valid_mask, point)?;
+        let blurred = blurred.sample_of(camera, valid_mask, point)?;
         Some(MovedPixel { blurred, sharp: [first, second] })
     };
     let row = |row: usize| {

@@ -7,7 +7,8 @@ use super::context::MappingContext;
 use super::keyframe::Keyframe;
 use super::mapper::Mapper;
 use super::response::log_lights;
-use super::surface_pairs::{MomentSamples, View, place_within, spread, surface_of};
+use super::surface_pairs::spread;
+use super::view::{MomentSamples, View, place_within, surface_of};
 use crate::objective::blur_length;
 use crate::reconstruction::FrameEstimate;
 use i2slam_formation::blur_estimate::{PARTNERS, SharedPoint, SurfacePoint, squared_length};
@@ -332,7 +333,7 @@ fn samples(
 
 #[cfg(test)]
 mod tests {
-    use super::super::surface_pairs::tests::{CAMERA, curve, exposed_view};
+    use super::super::view::tests::{CAMERA, curve, exposed_view};
     use super::*;
     use i2slam_formation::FrameTone;
     use i2slam_geometry::Pose;

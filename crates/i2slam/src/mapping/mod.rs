@@ -18,6 +18,7 @@ mod mapper;
 mod response;
 mod response_change;
 mod surface_pairs;
+mod view;
 mod vignetting;
 mod white_balance;
 mod window;

@@ -10,7 +10,8 @@ use super::context::MappingContext;
 use super::frame_gains::{ChannelPairs, apply_gains, solve_gains};
 use super::mapper::Mapper;
 use super::response_change::ResponseChange;
-use super::surface_pairs::{ComparedViews, PLACE_DEVIATION, PictureSample, SamplePair};
+use super::surface_pairs::{BlurredSample, ComparedViews, MAX_VALUE, PLACE_DEVIATION, SamplePair};
+use super::view::PictureSample;
 use super::white_balance::{ChannelBalance, balance_channels};
 use crate::config::{Config, ResponseScope};
 use crate::reconstruction::FrameEstimate;
@@ -21,7 +22,7 @@ use rayon::prelude::*;
 use std::collections::BTreeMap;
 
 /// Picture values that are compared: darker ones are steps of 8 bits, brighter ones clipped.
-pub(super) const COMPARED: [f32; 2] = [0.08, 0.985];
+pub(super) const COMPARED: [f32; 2] = [0.08, MAX_VALUE];
 /// Darkest picture value that counts for the shape of the response, which weighs noise: black has no
 /// logarithm.
 const MIN_VALUE: f32 = 1.0 / 255.0;
@@ -259,7 +260,9 @@ pub(super) fn log_light(
 ) -> Option<f64> {
     let value = sample.values[channel];
     let is_exposed = (BLUR_COMPARED[0]..=BLUR_COMPARED[1]).contains(&value);
-    let light = || log_linear(curve, channel, f64::from(value)) - log_vignetting(lens, sample);
+    let light = || {
+        log_linear(curve, channel, f64::from(value)) - log_vignetting(lens, sample.squared_radius)
+    };
     is_exposed.then(light)
 }
 
@@ -267,8 +270,8 @@ pub(super) fn log_linear(curve: &ResponseCurve<f32>, channel: usize, value: f64)
     f64::from(curve.inverse(channel, value as f32).max(f32::MIN_POSITIVE)).ln()
 }
 
-fn log_vignetting(lens: Vignetting<f32>, sample: &PictureSample) -> f64 {
-    f64::from(lens.at(sample.squared_radius as f32)).ln()
+fn log_vignetting(lens: Vignetting<f32>, squared_radius: f64) -> f64 {
+    f64::from(lens.at(squared_radius as f32)).ln()
 }
 
 /// Range of the exposures of frames, but for the longest and the shortest where there are many.
@@ -369,23 +372,24 @@ fn value_pair(
     (channel, [low, high]): (usize, [f32; 2]),
     lens: Vignetting<f32>,
 ) -> Option<ValuePair> {
-    let of = |sample: &PictureSample| (sample.values[channel], sample.slopes[channel]);
-    let [(first, _), (second, _)] = [&points[0], &points[1]].map(of);
+    let [first, second] = points.each_ref().map(|sample| sample.values[channel]);
     let is_exposed = [first, second].iter().all(|v| (low..=high).contains(v));
-    let deviation = |sample: &PictureSample| {
+    let deviation = |sample: &BlurredSample| {
         VALUE_DEVIATION.hypot(PLACE_DEVIATION * f64::from(sample.slopes[channel]))
     };
     is_exposed.then(|| ValuePair {
         values: [first, second].map(f64::from),
         deviations: [deviation(&points[0]), deviation(&points[1])],
-        log_vignetting: log_vignetting(lens, &points[0]) - log_vignetting(lens, &points[1]),
+        log_vignetting: log_vignetting(lens, points[0].squared_radius)
+            - log_vignetting(lens, points[1].squared_radius),
     })
 }
 
 #[cfg(test)]
 mod tests {
     use super::super::blur_pairs::moved_pixels;
-    use super::super::surface_pairs::tests::{CAMERA, Gains, compared_views, curve, exposed_view};
+    use super::super::surface_pairs::tests::{Gains, compared_views};
+    use super::super::view::tests::{CAMERA, curve, exposed_view};
     use super::*;
     use i2slam_formation::{NodeSpacing, StartCurve};
     use i2slam_geometry::{Pose, Tangent};

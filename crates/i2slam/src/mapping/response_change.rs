@@ -50,7 +50,7 @@ impl ResponseChange {
 
 #[cfg(test)]
 mod tests {
-    use super::super::surface_pairs::tests::curve;
+    use super::super::view::tests::curve;
     use super::*;
     use i2slam_formation::{CameraResponse, NodeSpacing, StartCurve};
 

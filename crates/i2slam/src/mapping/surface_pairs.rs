@@ -3,19 +3,29 @@
 //! The map tells where a point of one keyframe lies in another, and whether it is hidden there. Only
 //! the pictures are compared, never the map's colours, so that what the map has wrongly learned so far
 //! does not count.
+//!
+//! A camera that is exposed for longer takes pictures that are brighter and more blurred. In these, dark
+//! places have light of what is around them, as if the response were flatter in the dark. So each picture is
+//! averaged along the motion of the other one, `x` being the linear value of a picture value and `p_i(t)` the
+//! place in picture `i` of what is seen at time `t` of the exposure of the other:
+//!
+//! ```text
+//! x̄₁ = mean_t x₁(p₁(t))        x̄₂ = mean_t x₂(p₂(t))
+//! ```
+//!
+//! Both have both blurs then, and differ in exposure, white balance and vignetting alone.
 
 use super::context::MappingContext;
-use super::depth_inpainting::MIN_SURFACE_OPACITY;
 use super::keyframe::Keyframe;
 use super::mapper::Mapper;
-use crate::keyframes::project_rolling;
-use crate::objective::Observation;
-use i2slam_formation::CentreVelocity;
-use i2slam_formation::blur_estimate::MOMENTS;
+use super::view::View;
+use i2slam_formation::ResponseCurve;
 use i2slam_formation::vignetting::squared_radius;
-use i2slam_geometry::{Camera, Image, Pose, Tangent, Vec3};
+use i2slam_geometry::{Camera, Image, Vec3};
 use rayon::prelude::*;
-use std::sync::Arc;
+
+/// Brightest picture value that is not clipped.
+pub(super) const MAX_VALUE: f32 = 0.985;
 
 /// Keyframes from which they are compared.
 const MIN_KEYFRAMES: usize = 4;
@@ -25,15 +35,13 @@ const GROWTH: (usize, usize) = (3, 2);
 const MAX_VIEWS: usize = 14;
 /// Points of a keyframe, about.
 const POINTS: usize = 900;
-/// Relative difference of depth up to which two views see one surface.
-const MAX_DEPTH_DIFFERENCE: f64 = 0.02;
 /// Standard deviation of a point's place in a picture \[px\].
 pub(super) const PLACE_DEVIATION: f64 = 0.5;
 
-/// A picture at the place of a surface point.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct PictureSample {
-    /// Picture values of red, green and blue.
+/// A picture at a surface point, with the blur of the other picture besides its own.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct BlurredSample {
+    /// Picture values of red, green and blue; 1 where a part of the light is clipped.
     pub(super) values: [f32; 3],
     /// Their change per pixel.
     pub(super) slopes: [f32; 3],
@@ -41,21 +49,8 @@ pub(super) struct PictureSample {
     pub(super) squared_radius: f64,
 }
 
-/// A place within a pixel, anywhere with equal chance: pictures that are compared are interpolated alike
-/// then, which
-/// takes away contrast between pixel centres.
-pub(super) fn place_within((column, row): (usize, usize)) -> (f64, f64) {
-    // Golden ratios in two dimensions (Roberts' R2 sequence).
-    let number = (column * 7919 + row) as f64;
-    let within = |ratio: f64| (number * ratio).fract();
-    (column as f64 + within(0.754_877_666_246_693), row as f64 + within(0.569_840_290_998_053))
-}
-
-/// A picture at moments of an exposure.
-pub(super) type MomentSamples = [PictureSample; MOMENTS];
-
 /// A surface point in two keyframes.
-pub(super) type SamplePair = [PictureSample; 2];
+pub(super) type SamplePair = [BlurredSample; 2];
 
 /// Points that two keyframes see.
 pub(crate) struct ComparedViews {
@@ -86,7 +81,9 @@ pub(crate) fn compare_keyframes(
     let chosen = spread(context.keyframes.len(), MAX_VIEWS);
     let views = chosen.map(|i| View::new(mapper, context, &context.keyframes[i]));
     let views = views.collect::<Option<Vec<View>>>().unwrap_or_default();
-    compare(&views, context.camera, context.valid_mask)
+    let curves: Vec<_> = context.responses.iter().map(|response| response.curve()).collect();
+    let curve_of_frame = |frame: usize| &curves[context.frames[frame].response];
+    compare(&views, (context.camera, context.valid_mask), curve_of_frame)
 }
 
 /// At most `most` of `count` indices, evenly spread, the first and the last among them.
@@ -96,231 +93,80 @@ pub(super) fn spread(count: usize, most: usize) -> impl Iterator<Item = usize> {
 }
 
 /// Points of each pair of views.
-fn compare(
+fn compare<'a>(
     views: &[View],
-    camera: &Camera<f64>,
-    valid_mask: Option<&Image<bool>>,
+    (camera, valid_mask): (&Camera<f64>, Option<&Image<bool>>),
+    curve_of_frame: impl Fn(usize) -> &'a ResponseCurve<f32> + Sync,
 ) -> Vec<ComparedViews> {
-    let points: Vec<_> = views.par_iter().map(|view| view.points(camera, valid_mask)).collect();
+    let points: Vec<_> = views.par_iter().map(|view| view.points(camera, POINTS)).collect();
     let pairs = (0..views.len()).flat_map(|i| (0..views.len()).map(move |j| (i, j)));
     let pairs: Vec<(usize, usize)> = pairs.filter(|(i, j)| i < j).collect();
     let of_pair = |&(i, j): &(usize, usize)| {
-        let seen = points[i].iter().filter_map(|(point, here)| {
-            Some([*here, views[j].sample_of(camera, valid_mask, *point)?])
-        });
-        ComparedViews { frames: [views[i].frame, views[j].frame], points: seen.collect() }
+        let both = [&views[i], &views[j]];
+        let frames = both.map(View::frame);
+        let curves = frames.map(&curve_of_frame);
+        let pair = |point: &Vec3<f64>| sample_pair(both, curves, (camera, valid_mask), *point);
+        ComparedViews { frames, points: points[i].iter().filter_map(pair).collect() }
     };
     pairs.par_iter().map(of_pair).collect()
 }
 
-/// Depth \[m\] of the surface that the map shows from a keyframe at mid-exposure, 0 without one; `None`
-/// without a map.
-pub(super) fn surface_of(
-    mapper: &mut dyn Mapper,
-    context: &MappingContext<'_>,
-    keyframe: &Keyframe,
-) -> Option<Image<f32>> {
-    let pose = context.frames[keyframe.frame].middle();
-    Some(mapper.render(pose)?.surface(MIN_SURFACE_OPACITY))
+/// A point of the world in two views, each with the blur of both; `None` where one does not see it all the
+/// time.
+fn sample_pair(
+    [first, second]: [&View; 2],
+    curves: [&ResponseCurve<f32>; 2],
+    (camera, valid_mask): (&Camera<f64>, Option<&Image<bool>>),
+    point: Vec3<f64>,
+) -> Option<SamplePair> {
+    let place = |view: &View| view.place_of(camera, valid_mask, point);
+    let (in_first, in_second) = (place(first)?, place(second)?);
+    let along_second = first.places_along(camera, valid_mask, (second, in_second))?;
+    let along_first = second.places_along(camera, valid_mask, (first, in_first))?;
+    Some([
+        mean_sample(first, (camera, in_first), &along_second, curves[0])?,
+        mean_sample(second, (camera, in_second), &along_first, curves[1])?,
+    ])
 }
 
-/// A keyframe, and the surface that the map shows from its pose.
-pub(super) struct View {
-    world_from_camera: Pose<f64>,
-    camera_from_world: Pose<f64>,
-    /// Motion over the exposure.
-    velocity: Tangent<f64>,
-    /// Time from the first to the last row \[exposures\].
-    readout: f64,
-    /// Depth at mid-exposure \[m\]; 0 without a surface.
-    surface: Arc<Image<f32>>,
-    observation: Arc<Observation>,
-    /// Place among all frames.
-    frame: usize,
-}
-
-impl View {
-    pub(super) fn new(
-        mapper: &mut dyn Mapper,
-        context: &MappingContext<'_>,
-        keyframe: &Keyframe,
-    ) -> Option<Self> {
-        let surface = surface_of(mapper, context, keyframe)?;
-        Some(Self::with_surface(context, keyframe, Arc::new(surface)))
-    }
-
-    /// A keyframe with the [surface](surface_of) that the map shows from its pose.
-    pub(super) fn with_surface(
-        context: &MappingContext<'_>,
-        keyframe: &Keyframe,
-        surface: Arc<Image<f32>>,
-    ) -> Self {
-        let estimate = &context.frames[keyframe.frame];
-        let world_from_camera = estimate.middle();
-        Self {
-            world_from_camera,
-            camera_from_world: world_from_camera.inverse(),
-            velocity: CentreVelocity::from(estimate.shutter).velocity,
-            readout: estimate.readout,
-            surface,
-            observation: keyframe.observation.get(),
-            frame: keyframe.frame,
+/// The mean of the light that a picture shows at places, about one of its points.
+fn mean_sample(
+    view: &View,
+    (camera, middle): (&Camera<f64>, (f64, f64)),
+    places: &[(f64, f64)],
+    curve: &ResponseCurve<f32>,
+) -> Option<BlurredSample> {
+    let count = places.len() as f32;
+    let (mut light, mut slopes, mut is_clipped) = ([0.0; 3], [[0.0; 2]; 3], [false; 3]);
+    for &place in places {
+        let sample = view.sample(camera, place)?;
+        let by_place = view.slopes(place)?;
+        for channel in 0..3 {
+            let value = sample.values[channel].max(0.0);
+            is_clipped[channel] |= value > MAX_VALUE;
+            light[channel] += curve.inverse(channel, value) / count;
+            slopes[channel][0] += by_place[channel][0] / count;
+            slopes[channel][1] += by_place[channel][1] / count;
         }
     }
-
-    /// Points of the surface in the world.
-    fn points(
-        &self,
-        camera: &Camera<f64>,
-        valid_mask: Option<&Image<bool>>,
-    ) -> Vec<(Vec3<f64>, PictureSample)> {
-        let stride = ((camera.pixels() as f64 / POINTS as f64).sqrt().ceil() as usize).max(1);
-        let rows = (stride / 2..camera.height).step_by(stride);
-        let places =
-            rows.flat_map(|y| (stride / 2..camera.width).step_by(stride).map(move |x| (x, y)));
-        let point = |(column, row): (usize, usize)| {
-            let z = f64::from(self.surface.at(0, column, row));
-            let (u, v) = Camera::<f64>::pixel_centre(column, row);
-            let point = camera.unproject(u, v, z);
-            let sample = (z > 0.0).then(|| self.sample(camera, valid_mask, point))??;
-            Some((self.world_from_camera * point, sample))
-        };
-        places.filter_map(point).collect()
-    }
-
-    /// The picture at a point of the world; `None` where it is hidden or outside.
-    fn sample_of(
-        &self,
-        camera: &Camera<f64>,
-        valid_mask: Option<&Image<bool>>,
-        point_in_world: Vec3<f64>,
-    ) -> Option<PictureSample> {
-        let point = self.seen_point(camera, point_in_world)?;
-        self.sample(camera, valid_mask, point)
-    }
-
-    /// [`sample_of`](Self::sample_of) that keeps the contrast between pixel centres, without slopes.
-    pub(super) fn cubic_sample_of(
-        &self,
-        camera: &Camera<f64>,
-        valid_mask: Option<&Image<bool>>,
-        point_in_world: Vec3<f64>,
-    ) -> Option<PictureSample> {
-        let (u, v) = self.place_of(camera, valid_mask, point_in_world)?;
-        let colour = &self.observation.colour;
-        let tap = colour.cubic_tap(u as f32, v as f32)?;
-        Some(PictureSample {
-            values: std::array::from_fn(|channel| tap.sample(colour.plane(channel))),
-            slopes: [0.0; 3],
-            squared_radius: squared_radius(camera, u, v),
-        })
-    }
-
-    /// The picture along the way that the surface at a place of `moving` takes through it during the
-    /// exposure of that; `None` where it is not seen all the time.
-    pub(super) fn samples_along(
-        &self,
-        camera: &Camera<f64>,
-        valid_mask: Option<&Image<bool>>,
-        (moving, place): (&Self, (f64, f64)),
-    ) -> Option<MomentSamples> {
-        let mut samples = [PictureSample::default(); MOMENTS];
-        for (moment, sample) in samples.iter_mut().enumerate() {
-            let time = (moment as f64 + 0.5) / MOMENTS as f64 - 0.5;
-            let point = moving.surface_point(camera, place, time)?;
-            *sample = self.cubic_sample_of(camera, valid_mask, point)?;
-        }
-        Some(samples)
-    }
-
-    /// The keyframe with another motion over its exposure, and time from the first to the last row
-    /// \[exposures\].
-    pub(super) fn with_motion(self, velocity: Tangent<f64>, readout: f64) -> Self {
-        Self { velocity, readout, ..self }
-    }
-
-    /// The keyframe with an exposure that is so many times as long, its rows read in the same time.
-    pub(super) fn scaled(self, length: f64) -> Self {
-        let (velocity, readout) = (self.velocity.scaled(length), self.readout / length);
-        Self { velocity, readout, ..self }
-    }
-
-    /// The point of the world that a place in the picture shows at a time of the exposure, from -½ to ½;
-    /// `None` without a surface.
-    pub(super) fn surface_point(
-        &self,
-        camera: &Camera<f64>,
-        (u, v): (f64, f64),
-        time: f64,
-    ) -> Option<Vec3<f64>> {
-        let z = f64::from(self.surface.at(0, u as usize, v as usize));
-        let time = time + self.readout * (v / camera.height as f64 - 0.5);
-        let moved = Pose::identity().retract(self.velocity.scaled(time));
-        (z > 0.0).then(|| self.world_from_camera * (moved * camera.unproject(u, v, z)))
-    }
-
-    /// Place of a point of the world in the picture; `None` where it is hidden or outside.
-    pub(super) fn place_of(
-        &self,
-        camera: &Camera<f64>,
-        valid_mask: Option<&Image<bool>>,
-        point_in_world: Vec3<f64>,
-    ) -> Option<(f64, f64)> {
-        self.place(camera, valid_mask, self.seen_point(camera, point_in_world)?)
-    }
-
-    /// A point of the world in the camera at mid-exposure; `None` where it is hidden or outside.
-    fn seen_point(&self, camera: &Camera<f64>, point_in_world: Vec3<f64>) -> Option<Vec3<f64>> {
-        let point = self.camera_from_world * point_in_world;
-        let (u, v) = (point.z > 0.0).then(|| camera.project(point))?;
-        if !camera.contains(u, v, 0.0) {
-            return None;
-        }
-        let surface = f64::from(self.surface.at(0, u as usize, v as usize));
-        ((point.z - surface).abs() < MAX_DEPTH_DIFFERENCE * point.z).then_some(point)
-    }
-
-    /// Where the picture shows a point in the camera at mid-exposure; `None` where it recorded nothing.
-    fn place(
-        &self,
-        camera: &Camera<f64>,
-        valid_mask: Option<&Image<bool>>,
-        point: Vec3<f64>,
-    ) -> Option<(f64, f64)> {
-        let (u, v) = project_rolling(camera, self.velocity, self.readout, point)?;
-        let is_valid = |mask: &Image<bool>| mask.at(0, u as usize, v as usize);
-        (camera.contains(u, v, 0.0) && valid_mask.is_none_or(is_valid)).then_some((u, v))
-    }
-
-    /// The picture at a point in the camera at mid-exposure.
-    fn sample(
-        &self,
-        camera: &Camera<f64>,
-        valid_mask: Option<&Image<bool>>,
-        point: Vec3<f64>,
-    ) -> Option<PictureSample> {
-        let (u, v) = self.place(camera, valid_mask, point)?;
-        let colour = &self.observation.colour;
-        let tap = colour.tap(u as f32, v as f32)?;
-        let channels = std::array::from_fn(|channel| tap.sample(colour.plane(channel)));
-        Some(PictureSample {
-            values: channels.map(|(value, _, _): (f32, f32, f32)| value),
-            slopes: channels.map(|(_, du, dv)| du.hypot(dv)),
-            squared_radius: squared_radius(camera, u, v),
-        })
-    }
+    let value = |channel: usize| match is_clipped[channel] {
+        true => 1.0,
+        false => curve.evaluate(channel, light[channel]),
+    };
+    Some(BlurredSample {
+        values: std::array::from_fn(value),
+        slopes: slopes.map(|[by_u, by_v]| by_u.hypot(by_v)),
+        squared_radius: squared_radius(camera, middle.0, middle.1),
+    })
 }
 
 #[cfg(test)]
 pub(super) mod tests {
+    use super::super::view::tests::{CAMERA, curve, exposed_view};
     use super::*;
-    use i2slam_formation::{
-        CameraResponse, Formation, FrameTone, NodeSpacing, ResponseCurve, StartCurve, Vignetting,
-    };
+    use i2slam_formation::{FrameTone, Vignetting};
+    use i2slam_geometry::{Pose, Tangent};
 
-    pub(in crate::mapping) const CAMERA: Camera<f64> =
-        Camera { width: 160, height: 120, fx: 130.0, fy: 130.0, cx: 80.0, cy: 60.0 };
-    const WALL: f64 = 2.0;
     /// Largest change of gains from their mean over views: of exposure, in stops, and the logarithm of red.
     #[derive(Clone, Copy)]
     pub(in crate::mapping) struct Gains {
@@ -329,20 +175,6 @@ pub(super) mod tests {
     }
 
     pub(in crate::mapping) const GAINS: Gains = Gains { stops: 0.3, red: 0.09 };
-
-    /// Radiance of the wall `z` = 2 m, of several colours and with some texture.
-    fn wall(x: f64, y: f64, channel: usize) -> f64 {
-        let texture = (9.0 * x + channel as f64).sin() * (7.0 * y).cos();
-        0.2 + 0.05 * texture + 0.03 * (2.0 * x - y).sin()
-    }
-
-    /// The response of the cameras of [`views`].
-    pub(in crate::mapping) fn curve() -> ResponseCurve<f32> {
-        CameraResponse::new(3, StartCurve::Shoulder, NodeSpacing::Power(2.2)).curve()
-    }
-
-    /// Moments of an exposure that are averaged.
-    const MOMENTS: usize = 24;
 
     /// A view of the wall from a camera that has moved and turned, with gains of its own, in 8 bits.
     fn view(index: usize, lens: &Vignetting<f32>, gains: Gains) -> View {
@@ -357,53 +189,6 @@ pub(super) mod tests {
         exposed_view(pose, Tangent::zero(), &tone, lens, index)
     }
 
-    /// A view of the wall from a camera that moves while the shutter is open, in 8 bits.
-    pub(in crate::mapping) fn exposed_view(
-        world_from_camera: Pose<f64>,
-        velocity: Tangent<f64>,
-        tone: &FrameTone<f32>,
-        lens: &Vignetting<f32>,
-        frame: usize,
-    ) -> View {
-        let (mut hdr, mut surface) = (Image::new(160, 120, 3), Image::new(160, 120, 1));
-        for moment in 0..MOMENTS {
-            let time = (moment as f64 + 0.5) / MOMENTS as f64 - 0.5;
-            let pose = world_from_camera * Pose::identity().retract(velocity.scaled(time));
-            for pixel in 0..CAMERA.pixels() {
-                let (u, v) = Camera::<f64>::pixel_centre(pixel % 160, pixel / 160);
-                let ray = |pose: Pose<f64>| {
-                    let ray = pose * CAMERA.unproject(u, v, 1.0) - pose.translation;
-                    (ray, (WALL - pose.translation.z) / ray.z)
-                };
-                let (direction, depth) = ray(pose);
-                let point = pose.translation + direction * depth;
-                surface.data[pixel] = ray(world_from_camera).1 as f32;
-                for channel in 0..3 {
-                    let share = wall(point.x, point.y, channel) as f32 / MOMENTS as f32;
-                    hdr.plane_mut(channel)[pixel] += share;
-                }
-            }
-        }
-        let (curve, vignetting) = (curve(), lens.at_pixels(&CAMERA.cast()));
-        let mut picture = Image::default();
-        let formation = Formation { tone: *tone, curve: &curve, vignetting: Some(&vignetting) };
-        formation.form(&hdr, &mut picture);
-        picture.data.iter_mut().for_each(|v| *v = (255.0 * v.clamp(0.0, 1.0)).round() / 255.0);
-        View {
-            world_from_camera,
-            camera_from_world: world_from_camera.inverse(),
-            velocity,
-            readout: 0.0,
-            observation: Arc::new(Observation::new(picture, surface.clone())),
-            surface: Arc::new(surface),
-            frame,
-        }
-    }
-
-    fn views(count: usize, lens: &Vignetting<f32>) -> Vec<View> {
-        (0..count).map(|index| view(index, lens, GAINS)).collect()
-    }
-
     /// Points of pairs of so many views through a lens, whose gains change.
     pub(in crate::mapping) fn compared_views(
         count: usize,
@@ -411,20 +196,42 @@ pub(super) mod tests {
         gains: Gains,
     ) -> Vec<ComparedViews> {
         let views: Vec<View> = (0..count).map(|index| view(index, lens, gains)).collect();
-        compare(&views, &CAMERA, None)
+        let curve = curve();
+        compare(&views, (&CAMERA, None), |_| &curve)
+    }
+
+    /// Root mean square of the difference of ln x between two pictures of points, less their mean.
+    fn deviation(points: impl Iterator<Item = [[f32; 3]; 2]>) -> f32 {
+        let curve = curve();
+        let difference = |values: [[f32; 3]; 2]| {
+            let [a, b] = values.map(|v| curve.inverse(1, v[1]).ln());
+            a - b
+        };
+        let all: Vec<f32> = points.map(difference).collect();
+        assert!(all.len() > 300, "{}", all.len());
+        let mean = all.iter().sum::<f32>() / all.len() as f32;
+        (all.iter().map(|d| (d - mean).powi(2)).sum::<f32>() / all.len() as f32).sqrt()
     }
 
     #[test]
-    fn hidden_points_do_not_count() {
-        let mut hidden = views(6, &Vignetting::default());
-        let surfaces = hidden[2..].iter_mut().map(|view| Arc::make_mut(&mut view.surface));
-        surfaces.flat_map(|surface| &mut surface.data).for_each(|d| *d *= 1.1);
-        let points = hidden[0].points(&CAMERA, None);
-        let seen = |view: &View| {
-            points.iter().filter(|(p, _)| view.sample_of(&CAMERA, None, *p).is_some()).count()
+    fn pictures_of_different_blur_show_the_same_light() {
+        let exposed = |x: f64, [by_x, by_y]: [f64; 2], log_exposure: f32| {
+            let pose = Pose::identity().retract(Tangent::from_array([x, 0.0, 0.0, 0.0, 0.0, 0.0]));
+            let velocity = Tangent::from_array([by_x, by_y, 0.0, 0.0, 0.0, 0.0]);
+            let tone = FrameTone { log_exposure, ..FrameTone::default() };
+            exposed_view(pose, velocity, &tone, &Vignetting::default(), 0)
         };
-        let counts: Vec<usize> = hidden.iter().map(seen).collect();
-        assert!(counts[0] > 500 && counts[1] > 300 && counts[2..] == [0; 4], "{counts:?}");
+        let views = [exposed(0.0, [0.4, 0.0], 0.3), exposed(0.1, [0.0, 0.1], -0.3)];
+        let curve = curve();
+        let compared = compare(&views, (&CAMERA, None), |_| &curve);
+        let points = compared[0].points.iter();
+        let equal = deviation(points.map(|pair| pair.map(|sample| sample.values)));
+        let sample = |point: &Vec3<f64>| {
+            let of = |view: &View| Some(view.sample_of(&CAMERA, None, *point)?.values);
+            Some([of(&views[0])?, of(&views[1])?])
+        };
+        let plain = deviation(views[0].points(&CAMERA, POINTS).iter().filter_map(sample));
+        assert!(equal < 0.2 * plain, "{equal} {plain}");
     }
 
     #[test]

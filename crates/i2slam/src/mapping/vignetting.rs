@@ -3,7 +3,7 @@
 //! See [`i2slam_formation::vignetting`].
 
 use super::context::MappingContext;
-use super::surface_pairs::{ComparedViews, PLACE_DEVIATION, PictureSample};
+use super::surface_pairs::{BlurredSample, ComparedViews, PLACE_DEVIATION};
 use i2slam_formation::vignetting::{RadiancePair, estimate};
 use i2slam_formation::{ResponseCurve, Vignetting};
 use rayon::prelude::*;
@@ -60,7 +60,7 @@ struct LinearValue {
 
 impl LinearValue {
     /// `None` where the picture is badly exposed.
-    fn new(sample: &PictureSample, curve: &ResponseCurve<f32>) -> Option<Self> {
+    fn new(sample: &BlurredSample, curve: &ResponseCurve<f32>) -> Option<Self> {
         let mut value = Self { log: 0.0, slope: 0.0 };
         for (channel, (&picture, &slope)) in sample.values.iter().zip(&sample.slopes).enumerate() {
             if !(EXPOSED[0]..=EXPOSED[1]).contains(&picture) {
@@ -82,7 +82,7 @@ fn lens_of_views<'a>(
 ) -> Option<Vignetting<f64>> {
     let pairs = |views: &ComparedViews| -> Vec<RadiancePair> {
         let [first, second] = views.frames.map(&curve_of_frame);
-        let pair = |[here, there]: &[PictureSample; 2]| {
+        let pair = |[here, there]: &[BlurredSample; 2]| {
             let values = [LinearValue::new(here, first)?, LinearValue::new(there, second)?];
             Some(radiance_pair([here, there].map(|sample| sample.squared_radius), values))
         };
@@ -106,7 +106,8 @@ fn radiance_pair(squared_radii: [f64; 2], [here, there]: [LinearValue; 2]) -> Ra
 
 #[cfg(test)]
 mod tests {
-    use super::super::surface_pairs::tests::{GAINS, compared_views, curve};
+    use super::super::surface_pairs::tests::{GAINS, compared_views};
+    use super::super::view::tests::curve;
     use super::*;
 
     #[test]
@@ -132,7 +133,7 @@ mod tests {
 
     #[test]
     fn badly_exposed_points_do_not_count() {
-        let sample = |value: f32| PictureSample {
+        let sample = |value: f32| BlurredSample {
             values: [0.5, value, 0.5],
             slopes: [0.01; 3],
             squared_radius: 0.2,

@@ -206,7 +206,8 @@ fn contrast(pair: &SamplePair, curve: &ResponseCurve<f32>, channel: usize) -> Op
 
 #[cfg(test)]
 mod tests {
-    use super::super::surface_pairs::tests::{Gains, compared_views, curve};
+    use super::super::surface_pairs::tests::{Gains, compared_views};
+    use super::super::view::tests::curve;
     use super::*;
     use i2slam_formation::{CameraResponse, NodeSpacing, StartCurve, Vignetting};
 
