@@ -6,13 +6,15 @@
 //! h(ŷ₁) = h(y₁) - r v₁/(v₁ + v₂)        h(ŷ₂) = h(y₂) + r v₂/(v₁ + v₂)        v = (h'(ŷ) σ/ŷ)²
 //! ```
 //!
-//! to first order the mean of both measurements by their weights, which is independent of their difference.
+//! to first order the mean of both measurements by their weights, which is independent of their difference if
+//! the ratio of the two `σ` is right.
 
 use super::ValuePair;
 use super::log_response::{COUNT, LogResponse};
+use super::{UNKNOWNS, Unknowns};
 use i2slam_compute::median;
 
-/// Darkest light that counts: below, 8 bits have few steps.
+/// Least `ŷ` that counts: below, 8 bits have few steps.
 const MIN_LIGHT: f64 = 0.05;
 /// Points of a group whose median is its gain.
 const MIN_GROUP: usize = 20;
@@ -23,6 +25,8 @@ const ROUNDS: usize = 2;
 pub(super) struct CommonLight {
     /// Picture values `ŷ` without a residual.
     values: [f64; 2],
+    /// `ln v(r₁) - ln v(r₂)`.
+    pub(super) log_vignetting: f64,
     /// `r`, a difference of logarithms.
     pub(super) residual: f64,
     /// Standard deviation of it, by that of the values.
@@ -30,8 +34,8 @@ pub(super) struct CommonLight {
 }
 
 impl CommonLight {
-    fn new(pair: &ValuePair, gain: f64, curve: &LogResponse) -> Self {
-        let residual = difference(pair, curve) - gain;
+    fn new(pair: &ValuePair, gain: f64, unknowns: &Unknowns) -> Self {
+        let (residual, curve) = (unknowns.difference(pair) - gain, &unknowns.curve);
         let logs = pair.values.map(|y| curve.log_linear(y));
         let mut values = pair.values;
         let mut variances = variances(pair, values, curve);
@@ -41,7 +45,8 @@ impl CommonLight {
             values = met.map(|log| curve.picture_value(log).min(1.0));
             variances = self::variances(pair, values, curve);
         }
-        Self { values, residual, deviation: (variances[0] + variances[1]).sqrt() }
+        let deviation = (variances[0] + variances[1]).sqrt();
+        Self { values, log_vignetting: pair.log_vignetting, residual, deviation }
     }
 
     /// `ε`.
@@ -49,16 +54,11 @@ impl CommonLight {
         self.residual / self.deviation
     }
 
-    /// Derivatives of `h(ŷ₁) - h(ŷ₂)` by `d` at the knots.
-    pub(super) fn slopes(&self, curve: &LogResponse) -> [f64; COUNT] {
+    /// Derivatives of `h(ŷ₁) - h(ŷ₂) - q (ln v(r₁) - ln v(r₂))` by `d` at the knots and by `q`.
+    pub(super) fn slopes(&self, curve: &LogResponse) -> [f64; UNKNOWNS] {
         let [first, second] = self.values.map(|y| curve.by_knots(y));
-        std::array::from_fn(|k| first[k] - second[k])
+        std::array::from_fn(|k| if k < COUNT { first[k] - second[k] } else { -self.log_vignetting })
     }
-}
-
-fn difference(pair: &ValuePair, curve: &LogResponse) -> f64 {
-    let [first, second] = pair.values.map(|y| curve.log_linear(y));
-    first - second - pair.log_vignetting
 }
 
 /// Variances of the logarithms of linear values, at picture values `at`.
@@ -67,16 +67,16 @@ fn variances(pair: &ValuePair, at: [f64; 2], curve: &LogResponse) -> [f64; 2] {
 }
 
 /// The points of a group whose light is not too dark; none of too few.
-pub(super) fn common_lights(group: &[ValuePair], curve: &LogResponse) -> Vec<CommonLight> {
-    let light = |gain: f64| {
-        let points = group.iter().map(move |pair| CommonLight::new(pair, gain, curve));
+pub(super) fn common_lights(group: &[ValuePair], unknowns: &Unknowns) -> Vec<CommonLight> {
+    let points_at = |gain: f64| {
+        let points = group.iter().map(move |pair| CommonLight::new(pair, gain, unknowns));
         points.filter(|point| point.values.iter().all(|y| *y >= MIN_LIGHT))
     };
     let is_light = |pair: &&ValuePair| pair.values.iter().all(|y| *y >= MIN_LIGHT);
-    let differences = group.iter().filter(is_light).map(|pair| difference(pair, curve));
+    let differences = group.iter().filter(is_light).map(|pair| unknowns.difference(pair));
     let Some(rough) = gain_of(differences.collect()) else { return Vec::new() };
-    let residuals = light(rough).map(|point| rough + point.residual);
-    gain_of(residuals.collect()).map_or_else(Vec::new, |gain| light(gain).collect())
+    let residuals = points_at(rough).map(|point| rough + point.residual);
+    gain_of(residuals.collect()).map_or_else(Vec::new, |gain| points_at(gain).collect())
 }
 
 /// Outliers do not move the median.

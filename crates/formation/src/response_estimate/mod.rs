@@ -3,20 +3,22 @@
 //! A point has the picture values `y₁` and `y₂` in two pictures, and a response with `ln x = h(y)`
 //!
 //! ```text
-//! h(y₁) - h(y₂) = ln v(r₁) - ln v(r₂) + g
+//! h(y₁) - h(y₂) = q (ln v(r₁) - ln v(r₂)) + g
 //! ```
 //!
 //! where `v` is the vignetting and `g` the difference of the logarithmic gains of the two pictures, one
 //! unknown for each pair and channel (Mitsunaga and Nayar 1999, Grossberg and Nayar 2003). Pictures of
 //! different exposure tell the shape of `h`; its scale, a power of linear values, they do not: the start
-//! curve gives it, until blur tells it ([`estimate_power`](crate::blur_estimate::estimate_power)).
+//! curve gives it, until blur tells it ([`estimate_power`](crate::blur_estimate::estimate_power)). A
+//! vignetting that is known has the power of the response that it was found with, so that its power `q` is
+//! unknown beside that of the start curve.
 //!
-//! A residual `r = h(y₁) - h(y₂) - ln v(r₁) + ln v(r₂) - g` counts in the noise of the picture values,
-//! `ε = r / D` with `D² = (h'σ)₁² + (h'σ)₂²`. The noise that is in `r` is in `y₁` and `y₂`, too: derivatives and
-//! `D` taken there go up and down with `r`, and so does whether a point is bright enough to count. What
-//! follows is a bias that grows with the noise, in the dark before all, where few points are. All three are
-//! taken at the common light of both pictures instead, which is independent of `r`
-//! (instrumental variables). The offsets `d` of the logarithmic slope at the knots ([`LogResponse`]), a
+//! A residual `r = h(y₁) - h(y₂) - q (ln v(r₁) - ln v(r₂)) - g` counts in the noise of the picture values,
+//! `ε = r / D` with `D² = (h'σ/y)₁² + (h'σ/y)₂²` and `h' = dh / d ln y`. The noise that is in `r` is in `y₁` and
+//! `y₂`, too: derivatives and `D` taken there go up and down with `r`, and so does whether a point is bright
+//! enough to count. What follows is a bias that grows with the noise, in the dark before all, where few points
+//! are. All three are taken at the common light of both pictures instead, which is independent of `r` to
+//! first order, if the ratio of both `σ` is right (instrumental variables). The offsets `d` of the logarithmic slope at the knots ([`LogResponse`]), a
 //! random walk from knot to knot, are where
 //!
 //! ```text
@@ -68,7 +70,8 @@ pub struct ValuePair {
 }
 
 /// Robust deviation of the residuals of groups of points that share a gain, taken at their picture values,
-/// by a curve `y ↦ (h, h')` with `h' = d h / d ln y`, times the root of the mean of `D² / ((h'σ)₁ (h'σ)₂)`; `None` without points.
+/// by a curve `y ↦ (h, h')`, times the root of the geometric mean of `D² / ((h'σ/y)₁ (h'σ/y)₂)`; `None` without
+/// points.
 fn robust_deviation(
     groups: &[Vec<ValuePair>],
     curve: impl Fn(f64) -> (f64, f64) + Sync,
@@ -113,12 +116,41 @@ fn deviation_by_curve(groups: &[Vec<ValuePair>], response: &LogResponse) -> Opti
     robust_deviation(groups, |y| (response.log_linear(y), response.slope(y)))
 }
 
+/// A response that was found from points.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ResponseEstimate {
+    /// Its power is that of the start curve.
+    pub response: LogResponse,
+    /// `q`, the power of the vignetting that fits the response; about 1 without vignetting.
+    pub vignetting_power: f64,
+}
+
+/// Response and vignetting, as far as they are known.
+struct Unknowns {
+    curve: LogResponse,
+    /// `q`.
+    vignetting_power: f64,
+}
+
+impl Unknowns {
+    /// `h(y₁) - h(y₂) - q (ln v(r₁) - ln v(r₂))`.
+    fn difference(&self, pair: &ValuePair) -> f64 {
+        let [first, second] = pair.values.map(|y| self.curve.log_linear(y));
+        first - second - self.vignetting_power * pair.log_vignetting
+    }
+}
+
 /// The response that explains the points of all groups best, each group with a gain of its own; `None`
 /// of too few, or where they point to none. `repeats` says how often each point is compared, with the error
 /// that it has: so many comparisons count as one.
-pub fn estimate(groups: &[Vec<ValuePair>], repeats: f64, start: StartCurve) -> Option<LogResponse> {
+pub fn estimate(
+    groups: &[Vec<ValuePair>],
+    repeats: f64,
+    start: StartCurve,
+) -> Option<ResponseEstimate> {
     let start = log_slopes(start);
-    let mut found = LogResponse::new(&start, [0.0; COUNT]);
+    let curve = LogResponse::new(&start, [0.0; COUNT]);
+    let mut found = Unknowns { curve, vignetting_power: 1.0 };
     let (mut length, mut last_change) = (1.0, f64::INFINITY);
     for _ in 0..STEPS {
         let step = System::new(groups, repeats, &found)?.solve()?;
@@ -127,14 +159,17 @@ pub fn estimate(groups: &[Vec<ValuePair>], repeats: f64, start: StartCurve) -> O
             length *= 0.5;
         }
         last_change = change;
-        let offsets = std::array::from_fn(|k| found.offsets()[k] + length * step[k]);
-        // The largest of numbers that are none is 0.
-        if !offsets.iter().all(|d: &f64| d.is_finite()) {
+        // `f64::max` passes over NaN.
+        if !step.iter().all(|d: &f64| d.is_finite()) {
             return None;
         }
-        found = LogResponse::new(&start, offsets);
-        if change < MIN_STEP {
-            return Some(found);
+        let offsets = std::array::from_fn(|k| found.curve.offsets()[k] + length * step[k]);
+        found.curve = LogResponse::new(&start, offsets);
+        found.vignetting_power += length * step[COUNT];
+        // Medians and the choice of points make small jumps, about which whole steps do not come to rest.
+        if length * change < MIN_STEP {
+            let Unknowns { curve: response, vignetting_power } = found;
+            return Some(ResponseEstimate { response, vignetting_power });
         }
     }
     None
@@ -150,23 +185,27 @@ fn tied_mean(offsets: &[f64; COUNT]) -> f64 {
     tied.clone().map(|k| offsets[k]).sum::<f64>() / tied.count() as f64
 }
 
-/// Linear equations of a step of `d`.
+/// Number of unknowns: `d` at the knots, and `q`.
+const UNKNOWNS: usize = COUNT + 1;
+
+/// Linear equations of a step.
 #[derive(Clone)]
 struct System {
-    matrix: [[f64; COUNT]; COUNT],
-    right: [f64; COUNT],
+    matrix: [[f64; UNKNOWNS]; UNKNOWNS],
+    right: [f64; UNKNOWNS],
 }
 
 impl Default for System {
     fn default() -> Self {
-        Self { matrix: [[0.0; COUNT]; COUNT], right: [0.0; COUNT] }
+        Self { matrix: [[0.0; UNKNOWNS]; UNKNOWNS], right: [0.0; UNKNOWNS] }
     }
 }
 
 impl System {
     /// `None` of too few points.
-    fn new(groups: &[Vec<ValuePair>], repeats: f64, curve: &LogResponse) -> Option<Self> {
-        let of_group = |group: &Vec<ValuePair>| common_lights(group, curve);
+    fn new(groups: &[Vec<ValuePair>], repeats: f64, unknowns: &Unknowns) -> Option<Self> {
+        let curve = &unknowns.curve;
+        let of_group = |group: &Vec<ValuePair>| common_lights(group, unknowns);
         let groups: Vec<Vec<CommonLight>> = groups.par_iter().map(of_group).collect();
         let mut all: Vec<f64> =
             groups.iter().flatten().map(|point| point.normalized().abs()).collect();
@@ -182,7 +221,7 @@ impl System {
         let parts: Vec<Self> = groups.par_iter().map(of_group).collect();
         let mut sum = Self::default();
         parts.iter().for_each(|part| sum.merge(part));
-        sum.add_prior(curve.offsets());
+        sum.add_prior(unknowns);
         Some(sum)
     }
 
@@ -193,10 +232,10 @@ impl System {
         };
         let weights: Vec<f64> = group.iter().map(weight).collect();
         let total: f64 = weights.iter().sum();
-        let slopes: Vec<[f64; COUNT]> = group.iter().map(|point| point.slopes(curve)).collect();
+        let slopes: Vec<[f64; UNKNOWNS]> = group.iter().map(|point| point.slopes(curve)).collect();
         let weighted = || slopes.iter().zip(&weights);
         // The gain takes up what all have in common.
-        let mean: [f64; COUNT] =
+        let mean: [f64; UNKNOWNS] =
             std::array::from_fn(|k| weighted().map(|(s, w)| w * s[k]).sum::<f64>() / total);
         let mut system = Self::default();
         for ((slopes, weight), point) in weighted().zip(group) {
@@ -206,7 +245,7 @@ impl System {
         system
     }
 
-    fn add(&mut self, slopes: &[f64; COUNT], residual: f64, weight: f64) {
+    fn add(&mut self, slopes: &[f64; UNKNOWNS], residual: f64, weight: f64) {
         for (a, row) in self.matrix.iter_mut().enumerate() {
             let slope = weight * slopes[a];
             self.right[a] -= slope * residual;
@@ -220,20 +259,25 @@ impl System {
         self.right.iter_mut().zip(other.right).for_each(|(sum, value)| *sum += value);
     }
 
-    /// That of `Σ (d_{k+1} - d_k)²/σ² + w mean(d)²`.
-    fn add_prior(&mut self, offsets: &[f64; COUNT]) {
+    /// That of `Σ (d_{k+1} - d_k)²/σ² + w mean(d)² + (q - 1)²`.
+    fn add_prior(&mut self, unknowns: &Unknowns) {
+        let offsets = unknowns.curve.offsets();
         for k in 0..COUNT - 1 {
-            let mut slopes = [0.0; COUNT];
+            let mut slopes = [0.0; UNKNOWNS];
             (slopes[k], slopes[k + 1]) = (-1.0, 1.0);
             self.add(&slopes, offsets[k + 1] - offsets[k], WALK_DEVIATION.powi(-2));
         }
         let tied = (0..COUNT).filter(|k| is_tied(*k)).count() as f64;
+        let is_tied = |k: usize| k < COUNT && is_tied(k);
         let slopes = std::array::from_fn(|k| if is_tied(k) { 1.0 / tied } else { 0.0 });
         self.add(&slopes, tied_mean(offsets), TIE_WEIGHT);
+        // Any weight will do: it decides where there is no vignetting.
+        let slopes = std::array::from_fn(|k| if k == COUNT { 1.0 } else { 0.0 });
+        self.add(&slopes, unknowns.vignetting_power - 1.0, 1.0);
     }
 
-    /// Change of the offsets.
-    fn solve(&self) -> Option<[f64; COUNT]> {
+    /// Change of the unknowns.
+    fn solve(&self) -> Option<[f64; UNKNOWNS]> {
         let mut matrix: Vec<f64> = self.matrix.iter().flatten().copied().collect();
         let mut step = self.right;
         solve_positive_definite(&mut matrix, &mut step).then_some(step)

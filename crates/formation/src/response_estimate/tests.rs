@@ -50,7 +50,7 @@ fn error(found: &LogResponse, due: impl Fn(f64) -> f64) -> f64 {
 fn pictures_of_different_exposure_tell_the_shape() {
     let pairs = groups(reinhard, 2.0);
     for start in [StartCurve::Shoulder, StartCurve::Srgb] {
-        let found = estimate(&pairs, 1.0, start).expect("points");
+        let found = estimate(&pairs, 1.0, start).expect("points").response;
         let before = LogResponse::new(&log_slopes(start), [0.0; COUNT]);
         let [found_error, before_error] = [&found, &before].map(|curve| error(curve, log_reinhard));
         assert!(found_error < 0.15 && before_error > 0.5, "{found_error} {before_error}");
@@ -63,7 +63,7 @@ fn pictures_of_different_exposure_tell_the_shape() {
 #[test]
 fn equal_exposures_tell_nothing() {
     let pairs = groups(reinhard, 0.0);
-    let found = estimate(&pairs, 1.0, StartCurve::Shoulder).expect("points");
+    let found = estimate(&pairs, 1.0, StartCurve::Shoulder).expect("points").response;
     let before = LogResponse::new(&log_slopes(StartCurve::Shoulder), [0.0; COUNT]);
     let [found, before] = [&found, &before].map(|c| deviation_by_curve(&pairs, c).expect("points"));
     assert!(before < 1.03 * found, "{found} {before}");
@@ -84,6 +84,7 @@ fn points_that_do_not_belong_together_tell_nothing() {
     let pairs: Vec<Vec<ValuePair>> = (1..25).map(group).collect();
     let before = LogResponse::new(&log_slopes(StartCurve::Shoulder), [0.0; COUNT]);
     if let Some(found) = estimate(&pairs, 6.0, StartCurve::Shoulder) {
+        let found = found.response;
         let most = found.offsets().iter().fold(0.0, |most: f64, d| most.max(d.abs()));
         let [found, before] =
             [&found, &before].map(|c| deviation_by_curve(&pairs, c).expect("points"));
@@ -95,7 +96,7 @@ fn points_that_do_not_belong_together_tell_nothing() {
 fn the_curve_of_the_start_is_found_again() {
     let start = StartCurve::Shoulder;
     let found = estimate(&groups(|x| start.evaluate(0.2 * x.min(5.0)), 2.0), 1.0, start);
-    let found = found.expect("points");
+    let found = found.expect("points").response;
     let before = LogResponse::new(&log_slopes(start), [0.0; COUNT]);
     assert!(error(&found, |y| before.log_linear(y)) < 0.1, "{:?}", found.offsets());
 }
@@ -105,6 +106,37 @@ fn too_few_points_tell_nothing() {
     let few: Vec<Vec<ValuePair>> = groups(reinhard, 2.0).into_iter().take(1).collect();
     assert_eq!(estimate(&few, 1.0, StartCurve::Shoulder), None);
     assert_eq!(estimate(&[], 1.0, StartCurve::Shoulder), None);
+}
+
+#[test]
+fn the_power_of_the_vignetting_does_not_bend_the_response() {
+    let behind_lens = |power: f64| -> Vec<Vec<ValuePair>> {
+        let mut pairs = groups(reinhard, 2.0);
+        let points = pairs.iter_mut().enumerate().flat_map(|(g, group)| {
+            group
+                .iter_mut()
+                .enumerate()
+                .map(move |(i, point)| (noise((1000 * g + i) as u64, 1)[0], point))
+        });
+        for (log_vignetting, point) in points {
+            // The second picture shows the point as much brighter.
+            let log = log_reinhard(point.values[1].min(0.999)) - 0.5 * log_vignetting;
+            point.values[1] = (255.0 * reinhard(log.exp())).round() / 255.0;
+            point.log_vignetting = 0.5 * power * log_vignetting;
+        }
+        pairs.iter_mut().for_each(|group| group.retain(|p| (0.08..0.985).contains(&p.values[1])));
+        pairs
+    };
+    let found = [0.86, 1.0, 1.16].map(|power| {
+        (power, estimate(&behind_lens(power), 1.0, StartCurve::Shoulder).expect("points"))
+    });
+    let [_, (_, due), _] = &found;
+    assert!(error(&due.response, log_reinhard) < 0.15);
+    for (power, found) in &found {
+        let apart = error(&found.response, |y| due.response.log_linear(y));
+        let product = power * found.vignetting_power / due.vignetting_power;
+        assert!(apart < 0.01 && (product - 1.0).abs() < 0.01, "{power}: {apart} {product}");
+    }
 }
 
 /// Points of a scene that gets darker, few of them in the dark, with noise other than claimed.
@@ -128,19 +160,29 @@ fn dark_groups(response: impl Fn(f64) -> f64, noise_of_value: f64) -> Vec<Vec<Va
     (0..24).map(pair).collect()
 }
 
+/// The dark end of a response, given its inverse with the power of the start curve.
+fn assert_dark_end(response: impl Fn(f64) -> f64, log_response: impl Fn(f64) -> f64) {
+    for noise_of_value in [0.0001, 0.001, 0.01, 0.025] {
+        let points = dark_groups(&response, noise_of_value);
+        let found = estimate(&points, 1.0, StartCurve::Shoulder).expect("points").response;
+        // The first value is darker than all that count.
+        for (y, most) in [(0.04, 0.4), (0.06, 0.25), (0.08, 0.25), (0.12, 0.25), (0.2, 0.25)] {
+            let of_found = found.log_linear(y) - found.log_linear(0.5);
+            let due = log_response(y) - log_response(0.5);
+            let apart = (of_found - due) / 2.0_f64.ln();
+            assert!(apart.abs() < most, "{noise_of_value} {y}: {apart} stops");
+        }
+    }
+}
+
 #[test]
 fn noise_does_not_bend_the_dark_end() {
     let start = StartCurve::Shoulder;
-    let true_curve = LogResponse::new(&log_slopes(start), [0.0; COUNT]);
-    for noise_of_value in [0.001, 0.01, 0.025] {
-        let points = dark_groups(|x| start.evaluate(x.min(1.0)), noise_of_value);
-        let found = estimate(&points, 1.0, start).expect("points");
-        for y in [0.04, 0.06, 0.08, 0.12, 0.2] {
-            let log = |curve: &LogResponse| curve.log_linear(y) - curve.log_linear(0.5);
-            let apart = (log(&found) - log(&true_curve)) / 2.0_f64.ln();
-            assert!(apart.abs() < 0.25, "{noise_of_value} {y}: {apart} stops");
-        }
-    }
+    let curve = LogResponse::new(&log_slopes(start), [0.0; COUNT]);
+    assert_dark_end(|x| start.evaluate(x.min(1.0)), |y| curve.log_linear(y));
+    let range = |log: &dyn Fn(f64) -> f64| log(TIED[1]) - log(TIED[0]);
+    let power = range(&|y| curve.log_linear(y)) / range(&log_reinhard);
+    assert_dark_end(reinhard, |y| power * log_reinhard(y));
 }
 
 #[test]
@@ -160,7 +202,8 @@ fn slopes_of_the_curve_agree_with_differences() {
 
 #[test]
 fn a_camera_response_has_the_curve() {
-    let found = estimate(&groups(reinhard, 2.0), 1.0, StartCurve::Shoulder).expect("points");
+    let found = estimate(&groups(reinhard, 2.0), 1.0, StartCurve::Shoulder);
+    let found = found.expect("points").response;
     for power in [0.8, 1.0, 1.1] {
         let response: CameraResponse<f64> =
             found.camera_response(3, StartCurve::Shoulder).raised(power);

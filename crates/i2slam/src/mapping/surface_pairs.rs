@@ -45,6 +45,8 @@ pub(super) struct BlurredSample {
     pub(super) values: [f32; 3],
     /// Their change per pixel.
     pub(super) slopes: [f32; 3],
+    /// Length over which the picture is averaged \[px\].
+    pub(super) blur: f64,
     /// Squared distance from the middle of the picture, in half diagonals.
     pub(super) squared_radius: f64,
 }
@@ -106,7 +108,10 @@ fn compare<'a>(
         let frames = both.map(View::frame);
         let curves = frames.map(&curve_of_frame);
         let pair = |point: &Vec3<f64>| sample_pair(both, curves, (camera, valid_mask), *point);
-        ComparedViews { frames, points: points[i].iter().filter_map(pair).collect() }
+        // Half of either, so that both are sampled alike, in the order of rows.
+        let halves = points[i].iter().step_by(2).zip(points[j].iter().skip(1).step_by(2));
+        let of_both = halves.flat_map(|(of_first, of_second)| [of_first, of_second]);
+        ComparedViews { frames, points: of_both.filter_map(pair).collect() }
     };
     pairs.par_iter().map(of_pair).collect()
 }
@@ -149,6 +154,8 @@ fn mean_sample(
             slopes[channel][1] += by_place[channel][1] / count;
         }
     }
+    let [first, .., last] = places else { return None };
+    let intervals = places.len() as f64 / (places.len() - 1) as f64;
     let value = |channel: usize| match is_clipped[channel] {
         true => 1.0,
         false => curve.evaluate(channel, light[channel]),
@@ -156,6 +163,7 @@ fn mean_sample(
     Some(BlurredSample {
         values: std::array::from_fn(value),
         slopes: slopes.map(|[by_u, by_v]| by_u.hypot(by_v)),
+        blur: intervals * (last.0 - first.0).hypot(last.1 - first.1),
         squared_radius: squared_radius(camera, middle.0, middle.1),
     })
 }

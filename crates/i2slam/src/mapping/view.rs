@@ -104,7 +104,7 @@ impl View {
             rows.flat_map(|y| (stride / 2..camera.width).step_by(stride).map(move |x| (x, y)));
         let point = |(column, row): (usize, usize)| {
             let z = f64::from(self.surface.at(0, column, row));
-            let (u, v) = Camera::<f64>::pixel_centre(column, row);
+            let (u, v) = place_within((column, row));
             (z > 0.0).then(|| self.world_from_camera * camera.unproject(u, v, z))
         };
         places.filter_map(point).collect()

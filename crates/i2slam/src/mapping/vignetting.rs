@@ -136,6 +136,7 @@ mod tests {
         let sample = |value: f32| BlurredSample {
             values: [0.5, value, 0.5],
             slopes: [0.01; 3],
+            blur: 0.0,
             squared_radius: 0.2,
         };
         let exposed = [0.01, 0.3, 0.95].map(|v| LinearValue::new(&sample(v), &curve()).is_some());
