@@ -44,7 +44,8 @@ pub(crate) struct Input {
     #[arg(long, value_name = "FILE.json", value_parser = existing_path())]
     pub(crate) camera: Option<PathBuf>,
     /// Camera: a file (camera.json, transforms.json, COLMAP's cameras.txt, a line `fx fy cx cy`),
-    /// or four numbers FX FY CX CY without distortion [px], pixel centres at integers
+    /// or four numbers FX FY CX CY without distortion [px], pixel centres at integers; stands after
+    /// DATASET
     #[arg(
         long,
         value_name = "FILE or NUMBERS",

@@ -229,7 +229,11 @@ pub(super) fn print_summary(
         let taken = metrics.psnr_taken_db;
         let taken =
             taken.map_or_else(String::new, |db| format!(" (the pictures taken: {db:.2} dB)"));
-        print(&format!("sharp renders {psnr:.2} dB against the true sharp pictures{taken}"));
+        let part = match metrics.sharp_frames < metrics.frames {
+            true => format!(", of {}", counted(metrics.sharp_frames, "frame")),
+            false => String::new(),
+        };
+        print(&format!("sharp renders {psnr:.2} dB against the true sharp pictures{part}{taken}"));
     }
     if let (Some(sharp), Some(taken)) =
         (metrics.psnr_sharp_over_2px_db, metrics.psnr_taken_over_2px_db)

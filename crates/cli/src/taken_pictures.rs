@@ -2,7 +2,7 @@
 
 use crate::console::print_status;
 use i2slam::FrameEstimate;
-use i2slam::dataset::Sequence;
+use i2slam::dataset::{Sequence, is_stream};
 use i2slam::geometry::Image;
 use i2slam_result::RunInput;
 use std::path::Path;
@@ -17,10 +17,13 @@ pub(crate) fn sequence_of(result: &Path, missing: &str) -> Option<Sequence> {
         Ok(sequence) => Some(sequence),
         Err(error) => {
             let file = result.join("input.json");
-            let file = file.display();
-            warn(&format!(
-                "{error}; if it was moved, write its new place into `dataset` of {file}"
-            ));
+            match is_stream(&input.dataset) {
+                true => warn(&error.to_string()),
+                false => warn(&format!(
+                    "{error}; if it was moved, write its new place into `dataset` of {}",
+                    file.display()
+                )),
+            }
             None
         }
     }

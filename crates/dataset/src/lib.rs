@@ -38,7 +38,7 @@ pub use formats::{
     DepthEntry, DroppedFrames, FrameEntry, FrameParts, Layout, camera_json, paper_frames,
     read_trajectory, write_trajectory,
 };
-pub use image::{MAX_PIXELS, read_image_size};
+pub use image::{MAX_PIXELS, read_colour, read_image_size};
 pub use options::{DepthPairing, OpenOptions};
 pub use sequence::{
     DepthPicture, Frame, FrameStream, LiveFrameStream, LiveSequence, RecordedSequence, Sequence,

@@ -89,6 +89,15 @@ pub enum Response {
 const CONTRAST: [f32; 3] = [0.30, 0.24, 0.18];
 
 impl Response {
+    /// Its name in a specification.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Reinhard => "reinhard",
+            Self::Srgb => "srgb",
+            Self::Measured => "measured",
+        }
+    }
+
     /// The picture value of an exposed value in a channel (0 red, 1 green, 2 blue).
     pub fn apply(self, exposed: f32, channel: usize) -> f32 {
         let x = exposed.max(0.0);

@@ -2,7 +2,7 @@
 
 mod support;
 
-use i2slam_dataset::{FrameEntry, OpenOptions, Sequence};
+use i2slam_dataset::{FrameEntry, OpenOptions, Sequence, read_colour};
 use i2slam_synthetic::Spec;
 use i2slam_synthetic::{
     Degradation, DegradationCounts, DepthDegradation, ExposureStep, KinectNoise, NoiseSpec,
@@ -69,8 +69,16 @@ fn a_sequence_is_made_worse_in_the_ways_asked_for() {
         };
         assert!(read(&one, number) == read(&source, was), "{name}");
     };
-    same("sharp", 5, 6);
+    same("sharp", 1, 2);
     same("hdr", 5, 6);
+    // The sharp picture has the exposure of the one taken.
+    let sharp = |folder: &Path, i: usize| {
+        let picture = read_colour(&folder.join(format!("sharp/{i:06}.png"))).expect("a picture");
+        picture.data.iter().sum::<f32>() / picture.data.len() as f32
+    };
+    let [sharp_ratio, taken_ratio] =
+        [sharp(&one, 4) / sharp(&source, 5), mean(&after, 4) / mean(&before, 5)];
+    assert!((sharp_ratio / taken_ratio - 1.0).abs() < 0.03, "{sharp_ratio} {taken_ratio}");
 }
 
 fn nothing_asked_changes_nothing(source: &Path, out: &Path) {

@@ -19,7 +19,7 @@ use i2slam::dataset::{DatasetError, LiveSequence, RecordedSequence, Sequence, is
 use i2slam::run::{TrackedStream, reconstruct_stream};
 use i2slam::{PoseSource, RunError, RunOptions, Warning, reconstruct};
 use i2slam_result::{FrameFiles, NAMES};
-use i2slam_storage::{Claim, OutputFolder};
+use i2slam_storage::{Claim, MANIFEST, OutputFolder};
 pub(crate) use pictures::RenderSelection;
 use shortfall::with_shortfall;
 use std::path::{Path, PathBuf};
@@ -76,19 +76,19 @@ pub(crate) fn check_output(dataset: &Path, out: &Path, overwrite: bool) -> Resul
     Ok(OutputFolder::check(out, claim(overwrite))?)
 }
 
-/// Refuses to write into the dataset, as a result has a `camera.json` of its own.
+/// Refuses to write into the dataset, as a result has a `camera.json` of its own, or among its pictures.
 fn refuse_dataset(dataset: &Path, out: &Path) -> Result<(), Failure> {
-    let same_folder = match (out.canonicalize(), dataset.canonicalize()) {
-        (Ok(folder), Ok(dataset)) => folder == dataset,
-        _ => false,
+    let (Ok(folder), Ok(dataset)) = (out.canonicalize(), dataset.canonicalize()) else {
+        return Ok(());
     };
-    if same_folder {
-        return Err(Failure::Usage(format!(
-            "--out {} is the dataset itself, choose another folder",
-            out.display()
-        )));
-    }
-    Ok(())
+    let is_new = || folder.read_dir().is_ok_and(|mut files| files.next().is_none());
+    let which = match folder.strip_prefix(&dataset) {
+        Ok(inner) if inner.as_os_str().is_empty() => "the dataset itself",
+        Ok(_) if !is_new() && !folder.join(MANIFEST).exists() => "a folder of the dataset",
+        _ => return Ok(()),
+    };
+    let out = out.display();
+    Err(Failure::Usage(format!("--out {out} is {which}, choose another folder")))
 }
 
 fn claim(overwrite: bool) -> Claim<'static> {

@@ -87,6 +87,12 @@ pub fn read_image_size(path: &Path) -> Result<(usize, usize), DatasetError> {
     image_size(path, None)
 }
 
+/// A PNG or JPEG file as planes R, G and B in `[0, 1]`; grey is repeated, alpha ignored.
+pub fn read_colour(path: &Path) -> Result<Image<f32>, DatasetError> {
+    let size = read_image_size(path)?;
+    decode_colour(path, None, ExpectedSize { size, reference: "its header" })
+}
+
 /// Width and height [px], from the header alone. An image of more than [`MAX_PIXELS`], or of more
 /// than its bytes can hold, is an error.
 pub(crate) fn image_size(

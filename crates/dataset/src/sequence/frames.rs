@@ -106,8 +106,7 @@ impl FrameLoader {
     /// Size of the depth images.
     fn expected_depth(&self) -> ExpectedSize<'static> {
         let (colour, size) = self.resampler.recorded_sizes();
-        let reference =
-            if size == colour { "the other colour images" } else { "the other depth images" };
+        let reference = if size == colour { "the colour images" } else { "the other depth images" };
         ExpectedSize { size, reference }
     }
 

@@ -99,6 +99,11 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> RefinedImport<L> {
         })
     }
 
+    /// True if nothing tells whether the imported poses, which are kept, are right.
+    pub fn is_unchecked(&self) -> bool {
+        !(self.is_refined || self.is_unordered) && self.correlations.is_none()
+    }
+
     /// A sentence on the refinement for the user.
     pub fn summary(&self) -> String {
         let depth = if self.has_depth { "" } else { "; depth is found by matching" };
@@ -109,7 +114,7 @@ impl<L: FnMut(usize) -> Result<Frame, PictureError>> RefinedImport<L> {
             }
             (false, None) => {
                 "the imported poses are used as they are, unchecked: too few frames could be posed by their \
-                 pictures"
+                 pictures; were they in another convention, such as camera from world, nothing would tell"
             }
             (true, Some(_)) => "poses are refined by their pictures",
             (false, Some(_)) => "the imported poses are kept",

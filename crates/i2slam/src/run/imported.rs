@@ -90,7 +90,7 @@ fn refined(files: &ImportedKeyframes, context: &RunContext) -> Option<Refined> {
             return None;
         }
         Err(failure) => {
-            note(&format!("{kept}: {failure}"));
+            context.warn(format!("{kept}: {failure}"));
             return None;
         }
     };
@@ -99,7 +99,7 @@ fn refined(files: &ImportedKeyframes, context: &RunContext) -> Option<Refined> {
     if found.reconstruction().rolling_shutter_readout != 0.0 {
         let size = (files.camera.width, files.camera.height);
         let Some(found) = found.near(&poses) else {
-            note(&format!("{kept}: odometry found too few of them"));
+            context.warn(format!("{kept}: odometry found too few of them"));
             return None;
         };
         note(
@@ -110,10 +110,13 @@ fn refined(files: &ImportedKeyframes, context: &RunContext) -> Option<Refined> {
     let refined =
         RefinedImport::new(files.camera, poses, &found, load, context.cancellation.clone());
     let Some(refined) = refined else {
-        note(&format!("{kept}: odometry found too few of them"));
+        context.warn(format!("{kept}: odometry found too few of them"));
         return None;
     };
-    note(&refined.summary());
+    match refined.is_unchecked() {
+        true => context.warn(refined.summary()),
+        false => note(&refined.summary()),
+    }
     Some(Refined::Keyframes(Box::new(refined)))
 }
 

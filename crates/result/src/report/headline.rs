@@ -113,7 +113,12 @@ pub(super) fn cards(metrics: &Metrics) -> String {
         card(significant(error * 100.0), "cm", "Trajectory error", meaning);
     }
     if let Some(psnr) = metrics.psnr_sharp_db {
-        let meaning = "Sharp renders against the true sharp pictures. Higher is better.";
+        let part = match metrics.sharp_frames < metrics.frames {
+            true => format!(" of {} of {} frames", metrics.sharp_frames, metrics.frames),
+            false => String::new(),
+        };
+        let meaning =
+            format!("Sharp renders against the true sharp pictures{part}. Higher is better.");
         card(format!("{psnr:.1}"), "dB", "Sharp PSNR", &format!("{meaning}{}", taken(metrics)));
     }
     if let Some(psnr) = metrics.psnr_blurred_db {

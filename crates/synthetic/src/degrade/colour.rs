@@ -32,22 +32,37 @@ impl Degradation {
             return out;
         }
         let mut random = stream(self.seed, 22, frame as u64);
+        self.change_light(&mut out, |pixel, linear| {
+            let mut exposed = linear * gain;
+            if let Some(lens) = &lens {
+                exposed *= lens.at_pixel(size, centre, pixel);
+            }
+            match &self.sensor_noise {
+                Some(noise) => with_noise(exposed, noise, gaussian(&mut random)),
+                None => exposed,
+            }
+        });
+        out
+    }
+
+    /// A picture with the exposure step of a frame.
+    pub(super) fn exposed(&self, mut picture: Image<f32>, frame: usize) -> Image<f32> {
+        let gain = self.stops(frame).exp2() as f32;
+        self.change_light(&mut picture, |_, linear| linear * gain);
+        picture
+    }
+
+    /// Changes a picture's linear values, given by the response, of pixel after pixel in each channel.
+    fn change_light(&self, picture: &mut Image<f32>, mut change: impl FnMut(usize, f32) -> f32) {
         for channel in 0..3 {
             let linear: Vec<f32> = (0..=LEVELS)
                 .map(|i| self.response.invert(i as f32 / LEVELS as f32, channel))
                 .collect();
-            for (pixel, value) in out.plane_mut(channel).iter_mut().enumerate() {
-                let mut exposed = linear_value(&linear, *value) * gain;
-                if let Some(lens) = &lens {
-                    exposed *= lens.at_pixel(size, centre, pixel);
-                }
-                if let Some(noise) = &self.sensor_noise {
-                    exposed = with_noise(exposed, noise, gaussian(&mut random));
-                }
-                *value = self.response.apply(exposed, channel);
+            for (pixel, value) in picture.plane_mut(channel).iter_mut().enumerate() {
+                let changed = change(pixel, linear_value(&linear, *value));
+                *value = self.response.apply(changed, channel);
             }
         }
-        out
     }
 }
 

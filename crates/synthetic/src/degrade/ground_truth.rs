@@ -3,8 +3,8 @@
 use super::order::Shown;
 use super::{Degradation, refuse};
 use crate::error::SyntheticError;
-use crate::write::pose_numbers;
-use i2slam_dataset::Sequence;
+use crate::write::{pose_numbers, write_bytes, write_picture};
+use i2slam_dataset::{Sequence, read_colour};
 use i2slam_geometry::{StampedPose, interpolate_pose, nearest_stamp};
 use i2slam_storage::{OutputFolder, open};
 use std::io;
@@ -20,7 +20,7 @@ pub(super) fn refuse_same_folder(dataset: &Path, out: &Path) -> Result<(), Synth
     }
 }
 
-/// Copies poses, and sharp images, radiance and exposures with their new numbers. Pictures of
+/// Copies poses, and sharp images, radiance and exposures with their new numbers and exposure steps. Pictures of
 /// another size than the source's come without sharp images and radiance.
 pub(super) fn copy_ground_truth(
     dataset: &Path,
@@ -44,7 +44,7 @@ pub(super) fn copy_ground_truth(
     let mut sources = String::from("frame,source,time_of,stops,covered,grey\n");
     for (number, shown) in order.iter().enumerate() {
         if what.scale == 1.0 {
-            copy_pictures(dataset, folder, sequence, (shown.pose, number))?;
+            copy_pictures(dataset, folder, sequence, what, (*shown, number))?;
         }
         let picture = shown.picture;
         let [covered, grey] = [what.covers(picture), what.is_grey(picture)].map(u8::from);
@@ -66,16 +66,24 @@ fn read(path: &Path) -> Result<String, SyntheticError> {
     i2slam_storage::read_text(path).map_err(|e| SyntheticError::read(path, e))
 }
 
-/// Copies the sharp image and the radiance of frame `source` as those of frame `number`.
+/// Copies the sharp image, with the exposure of the picture, and the radiance of a frame as those of frame
+/// `number`.
 fn copy_pictures(
     dataset: &Path,
     folder: &OutputFolder,
     sequence: &Sequence,
-    (source, number): (usize, usize),
+    what: &Degradation,
+    (shown, number): (Shown, usize),
 ) -> Result<(), SyntheticError> {
+    let source = shown.pose;
     let name = sequence.entries[source].colour.file_name().unwrap_or_default();
-    let sharp = dataset.join("sharp").join(name);
-    copy_if_present(&sharp, folder, &format!("sharp/{number:06}.png"))?;
+    let (sharp, copied) = (dataset.join("sharp").join(name), format!("sharp/{number:06}.png"));
+    if what.stops(shown.picture) != 0.0 && sharp.is_file() {
+        let exposed = what.exposed(read_colour(&sharp)?, shown.picture);
+        write_bytes(folder, &copied, write_picture(&exposed))?;
+    } else {
+        copy_if_present(&sharp, folder, &copied)?;
+    }
     let radiance = dataset.join(format!("hdr/{source:06}.exr"));
     copy_if_present(&radiance, folder, &format!("hdr/{number:06}.exr"))
 }

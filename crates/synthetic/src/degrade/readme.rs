@@ -25,7 +25,7 @@ pub(super) fn readme(name: &str, what: &Degradation, frames: usize) -> String {
          source.csv names the source of every frame here.\n\n\
          - size over the source's: {}\n{}- vignetting: {vignetting}\n- sensor noise: {noise}\n- exposure steps: {}\n\
          - dropped by chance: {}, by range: {}\n- covered lens: {}\n- grey: {}\n- frozen: {}\n\
-         - shuffled: {}\n- moving object: {object}\n- assumed response: {:?}\n- frames: {frames}\n",
+         - shuffled: {}\n- moving object: {object}\n- assumed response: {}\n- frames: {frames}\n",
         what.seed,
         what.scale,
         depth_lines(&what.depth),
@@ -36,7 +36,7 @@ pub(super) fn readme(name: &str, what: &Degradation, frames: usize) -> String {
         ranges(&what.grey),
         ranges(&what.frozen),
         ranges(&what.shuffled),
-        what.response,
+        what.response.name(),
     )
 }
 

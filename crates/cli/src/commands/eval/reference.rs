@@ -7,7 +7,7 @@ use crate::failure::{Failure, failed};
 use crate::ground_truth::GroundTruth;
 use crate::image_files::read_png;
 use i2slam::Config;
-use i2slam::dataset::{OpenOptions, Sequence};
+use i2slam::dataset::{OpenOptions, Sequence, is_stream};
 use i2slam::geometry::{Image, StampedPose};
 use i2slam_result::report::GroundTruthSource;
 use i2slam_result::{RunInput, load_metrics};
@@ -48,8 +48,12 @@ impl Reference {
         let Some(input) = RunInput::load(result)? else { return Ok(None) };
         let dataset = &input.dataset;
         if !dataset.exists() {
-            let reason = "the dataset of this run is not there any more: give it as --reference, \
-                          or a trajectory as --groundtruth";
+            let reason = match is_stream(dataset) {
+                true => "the run was of a stream, which is not kept",
+                false => "the dataset of this run is not there any more",
+            };
+            let reason =
+                format!("{reason}: give one as --reference, or a trajectory as --groundtruth");
             return Err(failed(dataset, reason));
         }
         Self::dataset(dataset, estimate).map(Some)
