@@ -3,16 +3,18 @@
 //! Pictures of different exposure tell a response up to a power `p` of linear values. Blur tells the
 //! power: it is the mean of light, so that a blurred edge between dark and bright is the brighter, the
 //! larger the range of light between the same two picture values. With `ℓ = h(y)` the logarithm of
-//! linear values by a response whose power is unknown, a blurred pixel that saw the places `u` of a
-//! sharp picture during its exposure has
+//! linear values by a response whose power is unknown, a pixel that saw the places `u` of a sharper picture
+//! during the exposure of the blurred one, and the places `v` of the blurred one during that of the sharper
+//! one, has
 //!
 //! ```text
-//! ℓ = (1/p) ln mean_u exp(p ℓ_u) + g
+//! (1/p) ln mean_v exp(p ℓ_v) = (1/p) ln mean_u exp(p ℓ_u) + g
 //! ```
 //!
-//! with the gain `g` of the channel: the power mean of order `p`, about `mean ℓ_u + p var ℓ_u / 2`. A longer
-//! exposure widens the range, too, so that its length and its time are unknowns of each pair of pictures
-//! beside `p`; with `E_u = exp(p ℓ_u) / mean exp(p ℓ)` their derivatives are
+//! with the gain `g` of the channel: power means of order `p`, about `mean ℓ + p var ℓ / 2`. Both sides have
+//! both blurs, so that the sharper picture need not be sharp. A longer exposure widens the range, too, so that
+//! its length and its time are unknowns of each pair of pictures beside `p`; with
+//! `E_u = exp(p ℓ_u) / mean exp(p ℓ)` their derivatives are
 //!
 //! ```text
 //! ((E_first + E_last)/2 - 1) / p   and   (E_last - E_first) / p
@@ -30,9 +32,9 @@ use rayon::prelude::*;
 const STEPS: usize = 15;
 /// Bounds of the power: beyond, the geometry is wrong, not the response.
 const BOUNDS: [f64; 2] = [0.4, 2.5];
-/// Fewest pixels, and blurred pictures.
+/// Fewest pixels, and blurred pictures: of fewer the scatter says nothing.
 const MIN_PIXELS: usize = 1000;
-const MIN_PICTURES: usize = 2;
+const MIN_PICTURES: usize = 4;
 /// Fewest pixels of a picture.
 const MIN_PICTURE_PIXELS: usize = 200;
 /// Most that length and time of an exposure are off \[exposures\].
@@ -43,10 +45,11 @@ pub const SHARP_PICTURES: usize = 2;
 /// A pixel of a blurred picture in one channel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BlurredPixel {
-    /// Logarithm of its linear value.
-    pub blurred: f64,
-    /// Logarithms of the linear values that sharp pictures have at the places that the pixel saw, at even
-    /// intervals of the exposure.
+    /// Logarithms of the linear values of the blurred picture at the places that the pixel saw during the
+    /// exposures of sharper ones, at even intervals.
+    pub blurred: [[f64; MOMENTS]; SHARP_PICTURES],
+    /// Logarithms of the linear values of the sharper pictures at the places that it saw during the exposure
+    /// of the blurred one.
     pub sharp: [[f64; MOMENTS]; SHARP_PICTURES],
 }
 
@@ -70,13 +73,17 @@ impl BlurredPixel {
     /// Term of one sharp picture, with the other one as instrument; the unknowns are `p`, length and time of
     /// the exposure.
     fn term(&self, sharp: usize, power: f64) -> Term {
-        let [predicted, other] =
-            [sharp, 1 - sharp].map(|picture| MeanLight::new(&self.sharp[picture], power));
-        let derivatives = |light: &MeanLight| [light.by_power, light.by_length, light.by_time];
+        let lights = |picture: usize| {
+            [&self.blurred, &self.sharp].map(|of| MeanLight::new(&of[picture], power))
+        };
+        let derivatives = |[shown, predicted]: &[MeanLight; 2]| {
+            [predicted.by_power - shown.by_power, predicted.by_length, predicted.by_time]
+        };
+        let own = lights(sharp);
         Term {
-            residual: self.blurred - predicted.log,
-            derivatives: derivatives(&predicted),
-            instruments: derivatives(&other),
+            residual: own[0].log - own[1].log,
+            derivatives: derivatives(&own),
+            instruments: derivatives(&lights(1 - sharp)),
         }
     }
 }
@@ -107,7 +114,8 @@ pub fn estimate_power(pictures: &[BlurredPicture]) -> Option<PowerEstimate> {
         }
         // What each picture asks for beyond the common step.
         let scatter = sums.iter().map(|sums| (sums[0] - step * sums[1]).powi(2)).sum::<f64>();
-        let freedom = pictures as f64 / (pictures as f64 - 1.0);
+        // Student's distribution, as the scatter is that of few.
+        let freedom = pictures as f64 / (pictures as f64 - 3.0);
         estimate.deviation = (freedom * scatter).sqrt() / curvature;
         let power = (estimate.power + step).clamp(BOUNDS[0], BOUNDS[1]);
         let taken = power - estimate.power;
@@ -169,23 +177,33 @@ mod tests {
     use super::*;
     use i2slam_check::{assert_gradient, noise};
 
+    /// Motion of the sharper pictures over that of the blurred ones.
+    const SHARP_MOTION: f64 = 0.4;
+
     /// Pairs of pictures in which pixels saw edges of several heights, by a response whose linear values
     /// have to be raised to `power`; one pixel in ten is of something else.
     fn pictures(power: f64, length: f64, count: u64) -> Vec<BlurredPicture> {
+        let moment = |u: usize| (u as f64 + 0.5) / MOMENTS as f64;
         let pixel = |seed: u64, gain: f64| {
             let random = noise(seed, 12);
             let (height, place) = (1.5 * random[0], 0.5 + 0.7 * random[1]);
             // An edge that takes a quarter of the exposure to pass.
             let light = |t: f64| height * ((t - place) * 4.0).clamp(-0.5, 0.5);
-            let times = (0..600).map(|i| 0.5 + length * ((f64::from(i) + 0.5) / 600.0 - 0.5));
-            let mean = times.map(|t| light(t).exp()).sum::<f64>() / 600.0;
-            let at = |u: usize| light((u as f64 + 0.5) / MOMENTS as f64);
+            // Logarithm of the light of a motion of that length about a time.
+            let mean = |time: f64, length: f64| {
+                let times = (0..600).map(|i| time + length * ((f64::from(i) + 0.5) / 600.0 - 0.5));
+                (times.map(|t| light(t).exp()).sum::<f64>() / 600.0).ln()
+            };
             let other = if seed.is_multiple_of(10) { random[2] } else { 0.0 };
+            let shown = |v: usize| {
+                let light = mean(0.5 + SHARP_MOTION * (moment(v) - 0.5), length);
+                (light + gain + other + 0.03 * random[3]) / power
+            };
+            let seen =
+                |u: usize, noise: f64| (mean(moment(u), SHARP_MOTION) + 0.03 * noise) / power;
             BlurredPixel {
-                blurred: (mean.ln() + gain + other + 0.03 * random[3]) / power,
-                sharp: [4, 8].map(|first| {
-                    std::array::from_fn(|u| (at(u) + 0.03 * random[first + u % 4]) / power)
-                }),
+                blurred: [std::array::from_fn(shown); SHARP_PICTURES],
+                sharp: [4, 8].map(|first| std::array::from_fn(|u| seen(u, random[first + u % 4]))),
             }
         };
         let channel = |pair: u64, c: u64| {
@@ -222,16 +240,16 @@ mod tests {
             pixel.sharp = pixel.sharp.map(|sharp| [sharp[0]; MOMENTS]);
         }
         assert_eq!(estimate_power(&sharp), None);
-        assert_eq!(estimate_power(&pictures(1.0, 1.0, 1)), None);
+        assert_eq!(estimate_power(&pictures(1.0, 1.0, 3)), None);
         assert_eq!(estimate_power(&[]), None);
     }
 
     #[test]
     fn slope_of_a_prediction_agrees_with_differences() {
         for seed in 1..6 {
-            let random = noise(seed, MOMENTS);
-            let sharp = [std::array::from_fn(|u| random[u]); SHARP_PICTURES];
-            let pixel = BlurredPixel { blurred: 0.2, sharp };
+            let random = noise(seed, 2 * MOMENTS);
+            let of = |first: usize| [std::array::from_fn(|u| random[first + u]); SHARP_PICTURES];
+            let pixel = BlurredPixel { blurred: of(0), sharp: of(MOMENTS) };
             let slope = [pixel.term(0, 0.8).derivatives[0]];
             let residual = |x: &[f64]| -pixel.term(0, x[0]).residual;
             assert_gradient("power", &[0.8], &slope, 1e-5, 1e-6, residual);

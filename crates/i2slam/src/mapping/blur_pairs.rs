@@ -7,7 +7,7 @@
 use super::context::MappingContext;
 use super::keyframe::Keyframe;
 use super::mapper::Mapper;
-use super::view::{MomentSamples, PictureSample, View, place_within};
+use super::view::{MomentSamples, View, place_within};
 use crate::objective::blur_length;
 use i2slam_formation::blur_estimate::SHARP_PICTURES;
 use i2slam_geometry::{Camera, Image};
@@ -15,16 +15,17 @@ use rayon::prelude::*;
 
 /// Blur of a picture that counts as blurred \[px\].
 const MIN_BLUR: f64 = 2.0;
-/// Blur of the other picture over that, at most: what it has itself hides a sixteenth of the variance.
-const MAX_BLUR_RATIO: f64 = 0.25;
+/// Blur of the other picture over that, at most.
+const MAX_BLUR_RATIO: f64 = 0.5;
 /// Most blurred keyframes, the most blurred ones.
-const MAX_BLURRED: usize = 8;
+const MAX_BLURRED: usize = 16;
 /// Pixels of a blurred picture, about.
 const PIXELS: usize = 5000;
 
-/// A pixel of a blurred keyframe, and the samples of sharp ones at moments of its exposure.
+/// A pixel of a blurred keyframe at moments of the exposures of sharper ones, and of these at moments of its
+/// exposure.
 pub(crate) struct MovedPixel {
-    pub(super) blurred: PictureSample,
+    pub(super) blurred: [MomentSamples; SHARP_PICTURES],
     pub(super) sharp: [MomentSamples; SHARP_PICTURES],
 }
 
@@ -78,10 +79,13 @@ pub(super) fn moved_pixels(
     let pixel = |pixel: (usize, usize)| {
         let place = place_within(pixel);
         let point = blurred.surface_point(camera, place, 0.0)?;
-        let along = |sharp: &View| sharp.samples_along(camera, valid_mask, (blurred, place));
-        let [Some(first), Some(second)] = sharp.each_ref().map(along) else { return None };
-        let blurred = blurred.sample_of(camera, valid_mask, point)?;
-        Some(MovedPixel { blurred, sharp: [first, second] })
+        let samples = |sharp: &View| {
+            let in_sharp = sharp.place_of(camera, valid_mask, point)?;
+            let shown = blurred.samples_along(camera, valid_mask, (sharp, in_sharp))?;
+            Some((shown, sharp.samples_along(camera, valid_mask, (blurred, place))?))
+        };
+        let [(shown, seen), (other_shown, other_seen)] = [samples(&sharp[0])?, samples(&sharp[1])?];
+        Some(MovedPixel { blurred: [shown, other_shown], sharp: [seen, other_seen] })
     };
     let row = |row: usize| {
         let columns = (stride / 2..camera.width).step_by(stride);

@@ -11,11 +11,13 @@ use super::frame_gains::{ChannelPairs, apply_gains, solve_gains};
 use super::mapper::Mapper;
 use super::response_change::ResponseChange;
 use super::surface_pairs::{BlurredSample, ComparedViews, MAX_VALUE, PLACE_DEVIATION, SamplePair};
-use super::view::PictureSample;
+use super::view::{MomentSamples, PictureSample};
 use super::white_balance::{ChannelBalance, balance_channels};
 use crate::config::{Config, ResponseScope};
 use crate::reconstruction::FrameEstimate;
-use i2slam_formation::blur_estimate::{BlurredPicture, BlurredPixel, MOMENTS, estimate_power};
+use i2slam_formation::blur_estimate::{
+    BlurredPicture, BlurredPixel, MOMENTS, SHARP_PICTURES, estimate_power,
+};
 use i2slam_formation::response_estimate::{TIED, ValuePair, deviation_by_response, estimate};
 use i2slam_formation::{CameraResponse, FrameTone, ResponseCurve, Vignetting, WhiteBalanceModel};
 use rayon::prelude::*;
@@ -225,10 +227,11 @@ fn blurred_pixels(
     lens: Vignetting<f32>,
 ) -> Vec<BlurredPicture> {
     let pixel = |moved: &MovedPixel, channel: usize| {
-        let sharp = moved.sharp.each_ref().map(|s| log_lights(curve, lens, s, channel));
-        let [Some(first), Some(second)] = sharp else { return None };
-        let blurred = log_light(curve, lens, &moved.blurred, channel)?;
-        Some(BlurredPixel { blurred, sharp: [first, second] })
+        let logs = |of: &[MomentSamples; SHARP_PICTURES]| {
+            let [first, second] = of.each_ref().map(|s| log_lights(curve, lens, s, channel));
+            Some([first?, second?])
+        };
+        Some(BlurredPixel { blurred: logs(&moved.blurred)?, sharp: logs(&moved.sharp)? })
     };
     let picture = |view: &BlurredView| BlurredPicture {
         channels: std::array::from_fn(|channel| {
@@ -253,7 +256,7 @@ pub(super) fn log_lights(
 }
 
 /// Logarithm of the light of a sample behind the lens; `None` where it is badly exposed.
-pub(super) fn log_light(
+fn log_light(
     curve: &ResponseCurve<f32>,
     lens: Vignetting<f32>,
     sample: &PictureSample,
@@ -454,8 +457,8 @@ mod tests {
             exposed_view(pose, velocity, &tone, &lens, 0)
         };
         let sharp = [0.0, -0.03].map(|at| view(at, [0.0; 3], 0.0));
-        let motions = [[0.0, 0.2, 0.0], [0.25, 0.0, 0.0], [0.15, -0.15, 0.1]];
-        let blurred = (0..3).map(|k| {
+        let motions = [[0.0, 0.2, 0.0], [0.25, 0.0, 0.0], [0.15, -0.15, 0.1], [-0.1, 0.2, 0.0]];
+        let blurred = (0..4).map(|k| {
             let moved = view(0.05 * k as f64, motions[k], 0.3 * k as f32);
             BlurredView { pixels: moved_pixels(&moved, &sharp, &CAMERA, None) }
         });
@@ -465,7 +468,7 @@ mod tests {
             let power = power_by_blur(&blurred, &known.raised(wrong), lens).expect("blur");
             assert!((power * wrong - 1.0).abs() < 0.05, "{wrong}: {power}");
         }
-        assert_eq!(power_by_blur(&blurred[..1], &known, lens), None);
+        assert_eq!(power_by_blur(&blurred[..3], &known, lens), None);
         assert_eq!(power_by_blur(&blurred, &known.raised(3.0), lens), None);
     }
 }

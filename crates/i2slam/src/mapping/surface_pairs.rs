@@ -235,7 +235,9 @@ pub(super) mod tests {
         let points = compared[0].points.iter();
         let equal = deviation(points.map(|pair| pair.map(|sample| sample.values)));
         let sample = |point: &Vec3<f64>| {
-            let of = |view: &View| Some(view.sample_of(&CAMERA, None, *point)?.values);
+            let of = |view: &View| {
+                Some(view.sample(&CAMERA, view.place_of(&CAMERA, None, *point)?)?.values)
+            };
             Some([of(&views[0])?, of(&views[1])?])
         };
         let plain = deviation(views[0].points(&CAMERA, POINTS).iter().filter_map(sample));

@@ -110,16 +110,6 @@ impl View {
         places.filter_map(point).collect()
     }
 
-    /// The picture at a point of the world; `None` where it is hidden or outside.
-    pub(super) fn sample_of(
-        &self,
-        camera: &Camera<f64>,
-        valid_mask: Option<&Image<bool>>,
-        point_in_world: Vec3<f64>,
-    ) -> Option<PictureSample> {
-        self.sample(camera, self.place_of(camera, valid_mask, point_in_world)?)
-    }
-
     /// The picture at a place, with the contrast between pixel centres.
     pub(super) fn sample(&self, camera: &Camera<f64>, (u, v): (f64, f64)) -> Option<PictureSample> {
         let colour = &self.observation.colour;
