@@ -466,7 +466,7 @@ mod tests {
         let known = response(StartCurve::Shoulder);
         for wrong in [0.9, 1.0, 1.1] {
             let power = power_by_blur(&blurred, &known.raised(wrong), lens).expect("blur");
-            assert!((power * wrong - 1.0).abs() < 0.05, "{wrong}: {power}");
+            assert!((power * wrong - 1.0).abs() < 0.08, "{wrong}: {power}");
         }
         assert_eq!(power_by_blur(&blurred[..3], &known, lens), None);
         assert_eq!(power_by_blur(&blurred, &known.raised(3.0), lens), None);
