@@ -1,8 +1,8 @@
-//! Pixels of blurred keyframes with what sharp keyframes show at the places that they saw.
+//! Pixels of blurred keyframes with what sharper keyframes show at the places that they saw.
 //!
 //! A pixel of a blurred keyframe moves over the surface that the map shows while the shutter is open; a
-//! keyframe without blur shows the light of these places one by one. See
-//! [`i2slam_formation::blur_estimate::estimate_power`].
+//! sharper keyframe shows the light of these places one by one, but for its own blur, which the blurred one
+//! gets as well. See [`i2slam_formation::blur_estimate::estimate_power`].
 
 use super::context::MappingContext;
 use super::keyframe::Keyframe;
