@@ -43,8 +43,8 @@ const BLUR_COMPARED: [f32; 2] = [0.06, 0.97];
 /// Standard deviation of the logarithm of the power that start curve and pictures of different exposure
 /// leave: sRGB, a measured response and Reinhard's are 1.08, 1.16 and 0.86 of the start curve.
 const PRIOR_DEVIATION: f64 = 0.15;
-/// Error of the power by blur beyond its scatter: interpolation, and what blur the sharp picture has. Powers
-/// of known responses are within 0.3 % in two rendered rooms, 5 and 7 % below in two path-traced ones.
+/// Error of the power by blur beyond its scatter, as that of interpolation. Powers of known responses are
+/// within 0.6 % in two rendered rooms, 4 % below in a third, 5 and 8 % below in two path-traced ones.
 const POWER_ERROR: f64 = 0.05;
 /// Distance of the power by blur from what is known without, in standard deviations, at most.
 const MAX_POWER_DEVIATIONS: f64 = 2.0;

@@ -209,7 +209,8 @@ impl View {
         ((point.z - surface).abs() < MAX_DEPTH_DIFFERENCE * point.z).then_some(point)
     }
 
-    /// Where the picture shows a point in the camera at mid-exposure; `None` where it recorded nothing.
+    /// Where the picture shows a point in the camera at mid-exposure; `None` outside of it and of the
+    /// valid mask.
     fn place(
         &self,
         camera: &Camera<f64>,

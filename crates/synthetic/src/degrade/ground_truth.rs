@@ -20,8 +20,8 @@ pub(super) fn refuse_same_folder(dataset: &Path, out: &Path) -> Result<(), Synth
     }
 }
 
-/// Copies poses, and sharp images, radiance and exposures with their new numbers and exposure steps. Pictures of
-/// another size than the source's come without sharp images and radiance.
+/// Copies poses, and sharp images, radiance and exposures with their new numbers and exposure steps.
+/// Pictures of another size than the source's come without sharp images and radiance.
 pub(super) fn copy_ground_truth(
     dataset: &Path,
     folder: &OutputFolder,
