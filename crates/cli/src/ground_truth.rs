@@ -51,6 +51,22 @@ impl GroundTruth {
         }
     }
 
+    /// Leaves the poses out if they are those of `keyframes`, against which no error tells anything; true if
+    /// so.
+    pub(crate) fn leave_out_poses_of(&mut self, keyframes: &Path, sequence: &Sequence) -> bool {
+        let sources = match &sequence.ground_truth {
+            Some(file) => vec![file.clone()],
+            None => vec![self.folder.clone(), self.folder.join("transforms.json")],
+        };
+        let Ok(given) = keyframes.canonicalize() else { return false };
+        let is_given = sources.iter().any(|path| path.canonicalize().is_ok_and(|p| p == given));
+        let is_known = is_given && !self.trajectory.is_empty();
+        if is_known {
+            self.trajectory.clear();
+        }
+        is_known
+    }
+
     /// The true sharp picture of the frame at a place of the sequence.
     pub(crate) fn sharp(&self, position: usize) -> Option<Image<f32>> {
         let sharp = self.sharp.as_ref()?;

@@ -5,7 +5,7 @@ use crate::failure::Failure;
 use i2slam::dataset::Sequence;
 use i2slam::formation::{CameraResponse, NodeSpacing, ShutterPoses, StartCurve, Vignetting};
 use i2slam::geometry::{Camera, Pose, StampedPose};
-use i2slam::{Config, FrameEstimate, Map, Reconstruction};
+use i2slam::{Config, FrameEstimate, Map, Reconstruction, UnitOfLength};
 use i2slam_result::{FrameFiles, ViewerPage};
 use std::net::Ipv4Addr;
 use std::path::Path;
@@ -239,6 +239,7 @@ fn without_frames(config: &Config, camera: &Camera<f64>) -> Reconstruction {
         responses: vec![CameraResponse::new(1, StartCurve::Srgb, NodeSpacing::Uniform)],
         vignetting: Vignetting::default(),
         rolling_shutter_readout: 0.0,
+        unit_of_length: UnitOfLength::of_pictures(config),
     }
 }
 

@@ -243,8 +243,12 @@ pub(super) fn print_summary(
             "of {frames} blurred over more than 2 px {sharp:.2} dB (the pictures taken: {taken:.2} dB)"
         ));
     }
-    if metrics.unit_of_length == UnitOfLength::Unknown {
-        print("unit of length: unknown, pictures alone do not tell the scale");
+    match metrics.unit_of_length {
+        UnitOfLength::Metre => {}
+        UnitOfLength::Keyframes => print("world and unit of length: those of the keyframes given"),
+        UnitOfLength::Unknown => {
+            print("unit of length: unknown, pictures alone do not tell the scale");
+        }
     }
     if let Some(assumed) = metrics.focal_length_assumed_px {
         let found = (metrics.focal_length_px, metrics.horizontal_fov_deg);

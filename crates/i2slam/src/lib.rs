@@ -29,7 +29,7 @@ pub use i2slam_formation as formation;
 pub use i2slam_geometry as geometry;
 pub use i2slam_odometry::{OdometryError, TrackingStatus};
 pub use i2slam_radiance as radiance;
-pub use reconstruction::{Convergence, FrameEstimate, Losses, Map, Reconstruction};
+pub use reconstruction::{Convergence, FrameEstimate, Losses, Map, Reconstruction, UnitOfLength};
 pub use run::{Observer, PoseSource, RunError, RunOptions, RunOutcome, reconstruct};
 pub use session::{
     MappingPanicked, OnlineError, OnlineSession, OnlineUpdate, RuntimeEstimate, Session,

@@ -6,6 +6,7 @@ use i2slam_formation::{CameraResponse, FrameTone, ResponseCurve, ShutterPoses, V
 use i2slam_geometry::{Camera, Pose, StampedPose, Tangent};
 use i2slam_radiance::gaussian::{ColourActivation, GaussianMap, Shape};
 use i2slam_radiance::hashgrid::HashGridMap;
+use serde::{Deserialize, Serialize};
 use std::fmt;
 
 /// Unweighted terms of eq. 12 at the end of tracking a frame.
@@ -169,6 +170,26 @@ impl fmt::Display for Map {
     }
 }
 
+/// Unit of length of poses, depth and map.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum UnitOfLength {
+    /// That of the depth pictures.
+    #[default]
+    Metre,
+    /// That of the keyframes of another program, whose world it is, too.
+    Keyframes,
+    /// Arbitrary: pictures alone do not tell the scale.
+    Unknown,
+}
+
+impl UnitOfLength {
+    /// That of a run whose poses no file gives.
+    pub fn of_pictures(config: &Config) -> Self {
+        if config.is_rgb() { Self::Unknown } else { Self::Metre }
+    }
+}
+
 /// A reconstructed sequence.
 #[derive(Clone, Debug)]
 pub struct Reconstruction {
@@ -190,6 +211,8 @@ pub struct Reconstruction {
     pub vignetting: Vignetting<f32>,
     /// Readout time of a picture, set or estimated [s]; 0 for a global shutter.
     pub rolling_shutter_readout: f64,
+    /// Unit of length of all of these.
+    pub unit_of_length: UnitOfLength,
 }
 
 impl Reconstruction {

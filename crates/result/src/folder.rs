@@ -48,7 +48,7 @@ pub fn save(
     files: &FrameFiles,
 ) -> Vec<ResultError> {
     let r = reconstruction;
-    let unit = UnitOfLength::of(&r.config);
+    let unit = r.unit_of_length;
     let steps = [
         folder.write_text("trajectory.txt", &tables::trajectory(&r.trajectory(), unit)),
         match r.online_trajectory.as_slice() {
@@ -130,6 +130,7 @@ pub fn load(folder: &Path) -> Result<Reconstruction, ResultError> {
     let map = map::read_native(&bytes).map_err(|m| ResultError::format(&map_path, m))?;
     let online = folder.join("trajectory_online.txt");
     let online_trajectory = if online.is_file() { read_trajectory(&online)? } else { Vec::new() };
+    let unit_of_length = state.unit_of_length.unwrap_or_else(|| UnitOfLength::of_pictures(&config));
     Ok(Reconstruction {
         config,
         camera,
@@ -139,6 +140,7 @@ pub fn load(folder: &Path) -> Result<Reconstruction, ResultError> {
         responses,
         vignetting: state.vignetting.map(|found| found.vignetting()).unwrap_or_default(),
         rolling_shutter_readout: state.rolling_shutter_readout,
+        unit_of_length,
     })
 }
 
@@ -191,6 +193,9 @@ struct State {
     /// Absent where none was found.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     vignetting: Option<VignettingState>,
+    /// Absent in results of earlier versions.
+    #[serde(default)]
+    unit_of_length: Option<UnitOfLength>,
 }
 
 /// `v(r) = 1 + a r² + b r⁴ + c r⁶`.
@@ -237,6 +242,7 @@ impl State {
             responses: reconstruction.responses.iter().map(ResponseState::of).collect(),
             rolling_shutter_readout: reconstruction.rolling_shutter_readout,
             vignetting: VignettingState::of(&reconstruction.vignetting),
+            unit_of_length: Some(reconstruction.unit_of_length),
         }
     }
 }

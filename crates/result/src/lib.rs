@@ -26,11 +26,12 @@ pub use folder::{
     save_trajectory,
 };
 pub use frame_files::FrameFiles;
+pub use i2slam::UnitOfLength;
 pub use input::RunInput;
-pub use metrics::{Metrics, UnitOfLength};
+pub use metrics::Metrics;
 pub use pictures::{
     DEPTH_UNITS_PER_METRE, RenderKind, save_render, write_depth, write_picture, write_radiance,
 };
 pub use sensor_lines::{depth_registration_line, rolling_shutter_line};
-pub use tables::{online_trajectory, trajectory_line};
+pub use tables::{online_trajectory, trajectory_line, unit_of_trajectory};
 pub use viewer::{NoViewer, VIEWER_FILE, ViewerPage};

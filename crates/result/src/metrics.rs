@@ -1,8 +1,6 @@
 //! `metrics.json`: the measurements of a run.
 
-use i2slam::Config;
-use i2slam::Warning;
-use i2slam::{FrameEstimate, Reconstruction};
+use i2slam::{FrameEstimate, Reconstruction, UnitOfLength, Warning};
 use serde::{Deserialize, Serialize};
 
 /// The measurements of a run; `None` is what could not be measured.
@@ -106,7 +104,7 @@ pub struct Metrics {
     pub focal_length_deviation: Option<f64>,
     /// Radial distortion `k1 k2` (OpenCV) that was estimated from the pictures and removed.
     pub lens_distortion: Option<[f64; 2]>,
-    /// Unit of length of poses, map and depth: `metre`, or `unknown` of colour alone.
+    /// Unit of length of poses, map and depth: `metre`, that of given `keyframes`, or `unknown` of colour alone.
     pub unit_of_length: UnitOfLength,
     /// Value of depth pictures that was taken for one metre, where nothing gives it.
     pub depth_scale_assumed: Option<f64>,
@@ -114,24 +112,6 @@ pub struct Metrics {
     pub frames_given: usize,
     /// Warnings in the order of the run.
     pub warnings: Vec<Warning>,
-}
-
-/// Unit of length of a result.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum UnitOfLength {
-    /// That of the depth pictures.
-    #[default]
-    Metre,
-    /// Arbitrary.
-    Unknown,
-}
-
-impl UnitOfLength {
-    /// The unit of a run with these settings: unknown without depth pictures.
-    pub fn of(config: &Config) -> Self {
-        if config.is_rgb() { Self::Unknown } else { Self::Metre }
-    }
 }
 
 impl Metrics {
@@ -173,7 +153,7 @@ impl Metrics {
             rolling_shutter_readout_s: reconstruction.rolling_shutter_readout,
             focal_length_px: reconstruction.camera.fx,
             horizontal_fov_deg: reconstruction.camera.horizontal_field_of_view().to_degrees(),
-            unit_of_length: UnitOfLength::of(&reconstruction.config),
+            unit_of_length: reconstruction.unit_of_length,
             ..Self::default()
         }
     }

@@ -79,17 +79,17 @@ pub(crate) fn shutter_trajectory(frames: &[FrameEstimate], unit: UnitOfLength) -
 fn unit_label(unit: UnitOfLength) -> &'static str {
     match unit {
         UnitOfLength::Metre => "[m]",
+        UnitOfLength::Keyframes => "[unit of length of the keyframes given]",
         UnitOfLength::Unknown => "[unit of length unknown]",
     }
 }
 
-impl UnitOfLength {
-    /// The unit in the first line of a `trajectory.txt`; metres if it names none.
-    pub fn of_trajectory(text: &str) -> Self {
-        let head = text.lines().next().unwrap_or_default();
-        let is_unknown = head.starts_with('#') && head.ends_with(unit_label(Self::Unknown));
-        if is_unknown { Self::Unknown } else { Self::Metre }
-    }
+/// The unit in the first line of a `trajectory.txt`; metres if it names none.
+pub fn unit_of_trajectory(text: &str) -> UnitOfLength {
+    let head = text.lines().next().unwrap_or_default();
+    let is_named = |unit: &UnitOfLength| head.starts_with('#') && head.ends_with(unit_label(*unit));
+    let units = [UnitOfLength::Keyframes, UnitOfLength::Unknown];
+    units.into_iter().find(is_named).unwrap_or_default()
 }
 
 fn pose_line(timestamp: f64, poses: &[Pose<f64>], number: impl Fn(f64) -> String) -> String {

@@ -79,6 +79,7 @@ pub(crate) fn example(frames: usize) -> Reconstruction {
         responses: vec![response],
         vignetting: Vignetting { coefficients: [-0.2, -0.3, 0.1] },
         rolling_shutter_readout: 0.0123,
+        unit_of_length: UnitOfLength::Keyframes,
     }
 }
 

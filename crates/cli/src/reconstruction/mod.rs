@@ -144,7 +144,11 @@ fn reconstruct_into(
     (dataset, sequence): (&Path, &Sequence),
     tracked: Option<(TrackedStream, Progress)>,
 ) -> Result<(), Failure> {
-    let truth = GroundTruth::open(dataset, sequence);
+    let mut truth = GroundTruth::open(dataset, sequence);
+    let is_truth_given = match &job.options.poses {
+        PoseSource::Files { keyframes, .. } => truth.leave_out_poses_of(keyframes, sequence),
+        _ => false,
+    };
     let (tracked, mut progress) = match tracked {
         // Poses of a stream were written while it came.
         Some((tracked, progress)) => (Some(tracked), progress.with_poses(None)),
@@ -158,6 +162,10 @@ fn reconstruct_into(
     job.show_live(sequence);
     let warnings: Vec<String> = sequence.warnings.iter().chain(&truth.warnings).cloned().collect();
     warnings.iter().for_each(|warning| progress.warn(warning));
+    if is_truth_given {
+        progress
+            .note("the keyframes are the ground truth of the path: no error against it is told");
+    }
     if let PoseSource::FrontEnd { with_depth: false, .. } = job.options.poses {
         messages::input_lines(sequence).iter().for_each(|line| progress.note(line));
         if job.options.open.depth_scale.is_some() {

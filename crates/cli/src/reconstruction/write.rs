@@ -211,9 +211,9 @@ impl Measurements {
         metrics.seconds = outcome.seconds;
         metrics.seconds_per_frame = outcome.seconds / metrics.frames.max(1) as f64;
         metrics.peak_memory_bytes = peak_memory();
+        metrics.camera_source = Some(absolute_source(outcome.camera_source.clone()));
         if let Some(camera) = &outcome.camera {
             let estimated = camera.is_focal_length_estimated;
-            metrics.camera_source = Some(absolute_source(camera.source_of_focal_length()));
             metrics.focal_length_assumed_px = estimated.then_some(camera.assumed_focal_length);
             metrics.focal_length_deviation = camera.focal_length_deviation;
             metrics.lens_distortion = camera.lens.map(|lens| lens.distortion);

@@ -53,6 +53,35 @@ fn keyframes_with_depth_become_gaussians() {
     run(&["--keyframe-depth", "pictures"]).exits_with(0);
     assert!(room.has("map.ply") && room.has("viewer.html"));
     assert_eq!(room.metric("keyframes"), Some(FRAMES as f64));
+    let metrics = room.text("metrics.json");
+    assert!(metrics.contains("\"unit_of_length\": \"keyframes\""), "{metrics}");
+    assert!(metrics.contains("camera.json\""), "no source of the camera: {metrics}");
+    let first = room.text("trajectory.txt").lines().next().map(str::to_owned);
+    assert!(first.is_some_and(|line| line.ends_with("[unit of length of the keyframes given]")));
+    let exported = room.scratch.join("path.txt");
+    let export = i2slam!("export", room.out, "--format", "tum", "--out", exported).exits_with(0);
+    assert!(export.out.contains("in the unit of length of the keyframes given"), "{}", export.out);
+}
+
+/// Against the poses that were given there is no error.
+#[test]
+fn keyframes_are_not_judged_by_themselves() {
+    let room = keyframes("keyframed-truth");
+    let (truth, config) = (room.data.join("groundtruth.txt"), room.scratch.join("quick.toml"));
+    let ran = i2slam!(
+        "run",
+        room.data,
+        "--out",
+        room.out,
+        "--rgb",
+        "--keyframes",
+        truth,
+        "--config",
+        config
+    );
+    let ran = ran.exits_with(0);
+    assert!(ran.err.contains("no error against it is told"), "{}", ran.err);
+    assert_eq!(room.metric("ate_rmse_m"), None);
 }
 
 #[test]

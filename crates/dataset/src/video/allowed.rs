@@ -6,8 +6,8 @@ use std::path::Path;
 /// Containers that cameras, phones and video editors write, as ffmpeg calls its demuxers. None of
 /// them reads a second file.
 const CONTAINERS: &str = "mov,matroska,avi,mpegts,mpeg,mpegvideo,asf,asf_o,flv,ogg,mxf,nut,dv,dhav,\
-                          ivf,obu,av1,h264,hevc,vvc,m4v,vc1,mjpeg,mjpeg_2000,mpjpeg,jpeg_pipe,gif,\
-                          apng,yuv4mpegpipe";
+                          ivf,obu,av1,h264,hevc,vvc,m4v,vc1,mjpeg,mjpeg_2000,mpjpeg,jpeg_pipe,png_pipe,\
+                          gif,apng,yuv4mpegpipe";
 
 /// What comes over the network besides: sessions, playlists, and the sound of their variants.
 const NETWORK_CONTAINERS: &str = "rtsp,rtp,sdp,hls,dash,live_flv,mpegtsraw,aac,mp3,ac3,eac3,webvtt";

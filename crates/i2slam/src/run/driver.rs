@@ -6,7 +6,7 @@ use super::observer::RunContext;
 use super::{PoseSource, RunOptions, RunOutcome, Stage, shortfall};
 use crate::config::{HoldOut, Parameters, TrackingMethod};
 use crate::keyframes::{PictureError, PosedKeyframe};
-use crate::reconstruction::{FrameEstimate, Reconstruction};
+use crate::reconstruction::{FrameEstimate, Reconstruction, UnitOfLength};
 use crate::session::{MappedFrames, Session, SessionError};
 use crate::warning::Warning;
 use i2slam_dataset::Sequence;
@@ -170,6 +170,9 @@ impl Driver<'_, '_> {
         let Self { session, input, skipped, .. } = self;
         let mut reconstruction = session.reconstruction();
         reconstruction.online_trajectory = input.path.online;
+        if matches!(options.poses, PoseSource::Files { .. }) {
+            reconstruction.unit_of_length = UnitOfLength::Keyframes;
+        }
         // As set: a run from its own configuration would share the steps a second time.
         reconstruction.config.mapping.iterations = options.config.mapping.iterations;
         let keeps_poses = reconstruction.config.parameters.frames.keeps_middle;
@@ -186,6 +189,7 @@ impl Driver<'_, '_> {
             problem,
             shortfalls,
             camera: input.estimate,
+            camera_source: input.camera_source,
             undistorted: input.undistorted,
             warnings: Vec::new(),
         }

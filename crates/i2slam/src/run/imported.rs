@@ -34,9 +34,12 @@ pub(super) fn open(
     if is_without_depth && begins_on_depth && !context.cancellation.is_cancelled() {
         return Err(RunError::NoDepth);
     }
+    let camera_source = source.files().camera_source.clone();
     Ok(match refined {
-        None => Input::keyframes(Box::new(source), count, frame_rate),
-        Some(Refined::Keyframes(refined)) => Input::keyframes(refined, count, frame_rate),
+        None => Input::keyframes(Box::new(source), camera_source, count, frame_rate),
+        Some(Refined::Keyframes(refined)) => {
+            Input::keyframes(refined, camera_source, count, frame_rate)
+        }
         Some(Refined::Path(path)) => {
             let pictures = source.files().clone();
             let between = path.non_keyframes(move |place| imported_picture(&pictures, place));
@@ -51,7 +54,7 @@ pub(super) fn open(
                 between,
                 frames_given: count,
                 path: KnownPath { poses, ..KnownPath::default() },
-                ..Input::keyframes(Box::new(path), keyframes, frame_rate)
+                ..Input::keyframes(Box::new(path), camera_source, keyframes, frame_rate)
             }
         }
     })

@@ -42,6 +42,8 @@ pub(super) struct Input<'a> {
     pub(super) kind: &'static ItemKind,
     /// Camera of all pictures.
     pub(super) camera: Camera<f64>,
+    /// Source of its focal length, in words.
+    pub(super) camera_source: String,
     /// True if the keyframes are photographs, in no order.
     pub(super) is_unordered: bool,
     /// Readout of a rolling shutter that the source has found [s]; 0 without.
@@ -99,6 +101,7 @@ impl<'a> Input<'a> {
             keyframes: sequence.len(),
             kind: &FRAMES,
             camera: sequence.camera,
+            camera_source: sequence.camera_source.clone(),
             is_unordered: false,
             readout: 0.0,
             frame_rate: sequence.frame_rate,
@@ -114,6 +117,7 @@ impl<'a> Input<'a> {
     /// All keyframes of a source, without any frame between them.
     pub(super) fn keyframes(
         mut source: Box<dyn KeyframeSource>,
+        camera_source: String,
         count: usize,
         frame_rate: f64,
     ) -> Input<'static> {
@@ -122,6 +126,7 @@ impl<'a> Input<'a> {
             keyframes: count,
             kind: &KEYFRAMES,
             camera: *source.camera(),
+            camera_source,
             is_unordered: source.is_unordered(),
             readout: source.readout(),
             items: Box::new(std::iter::from_fn(move || {

@@ -249,6 +249,8 @@ pub struct RunOutcome {
     pub shortfalls: Vec<String>,
     /// Camera as estimated from the pictures; `None` where poses are not found from them.
     pub camera: Option<CameraEstimate>,
+    /// Source of the focal length, in words.
+    pub camera_source: String,
     /// The sequence as it was used, if an estimated lens distortion was removed from it.
     pub undistorted: Option<Sequence>,
     /// All warnings, in order, with the time stamps of their frames unless these are photographs.

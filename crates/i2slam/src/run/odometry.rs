@@ -83,6 +83,7 @@ pub(super) fn open(
     let source = with_frames_between(source, mapped.as_ref(), options, pictures);
     let count = source.remaining();
     let source = with_depth_and_motions(source, forecasts.as_deref(), options, context);
+    let camera_source = camera.source_of_focal_length();
     Ok(Input {
         between,
         path,
@@ -91,7 +92,7 @@ pub(super) fn open(
         estimate: Some(camera),
         undistorted,
         mapped,
-        ..Input::keyframes(Box::new(source), count, sequence.frame_rate)
+        ..Input::keyframes(Box::new(source), camera_source, count, sequence.frame_rate)
     })
 }
 

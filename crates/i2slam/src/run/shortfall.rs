@@ -91,7 +91,7 @@ fn of_frames(found: usize, (given, is_unordered): (usize, bool)) -> String {
 mod tests {
     use super::*;
     use crate::config::Config;
-    use crate::reconstruction::{Map, Reconstruction};
+    use crate::reconstruction::{Map, Reconstruction, UnitOfLength};
     use crate::warning::Warning;
     use i2slam_formation::{ShutterPoses, Vignetting};
     use i2slam_geometry::{Camera, Pose};
@@ -114,6 +114,7 @@ mod tests {
                 responses: Vec::new(),
                 vignetting: Vignetting::default(),
                 rolling_shutter_readout: 0.0,
+                unit_of_length: UnitOfLength::Metre,
             },
             frames_given: tracked + lost,
             is_unordered: false,
@@ -123,6 +124,7 @@ mod tests {
             problem: None,
             shortfalls: Vec::new(),
             camera: None,
+            camera_source: String::new(),
             undistorted: None,
             warnings: vec![
                 Warning::of_frame(0, "it is blue"),

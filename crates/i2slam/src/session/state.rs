@@ -2,7 +2,7 @@
 
 use crate::config::{Config, FormationConfig};
 use crate::mapping::{Keyframe, LensVignetting, MappingContext};
-use crate::reconstruction::{FrameEstimate, Map, Reconstruction};
+use crate::reconstruction::{FrameEstimate, Map, Reconstruction, UnitOfLength};
 use crate::warning::Warning;
 use i2slam_compute::{CancellationToken, Random};
 use i2slam_formation::{CameraResponse, NodeSpacing, Vignetting, WhiteBalanceModel};
@@ -149,6 +149,7 @@ pub(super) fn reconstruction(
         responses: responses.to_vec(),
         vignetting,
         rolling_shutter_readout,
+        unit_of_length: UnitOfLength::of_pictures(config),
     }
 }
 

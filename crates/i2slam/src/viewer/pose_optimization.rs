@@ -225,7 +225,7 @@ fn mean_square_error(picture: &Image<f32>, truth: &Image<f32>) -> f64 {
 pub(crate) mod tests {
     use super::*;
     use crate::config::Config;
-    use crate::reconstruction::{Map, Reconstruction};
+    use crate::reconstruction::{Map, Reconstruction, UnitOfLength};
     use i2slam_check::noise;
     use i2slam_formation::{CameraResponse, NodeSpacing, StartCurve, Vignetting};
     use i2slam_geometry::Camera;
@@ -254,6 +254,7 @@ pub(crate) mod tests {
             responses: vec![CameraResponse::new(3, StartCurve::Srgb, NodeSpacing::Uniform)],
             vignetting: Vignetting::default(),
             rolling_shutter_readout: 0.0,
+            unit_of_length: UnitOfLength::Metre,
         }
     }
 

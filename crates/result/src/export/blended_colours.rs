@@ -134,7 +134,7 @@ mod tests {
     use i2slam::formation::{CameraResponse, NodeSpacing, StartCurve, Vignetting};
     use i2slam::geometry::Rotation;
     use i2slam::geometry::{Camera, Tangent, Vec3};
-    use i2slam::{Config, Map};
+    use i2slam::{Config, Map, UnitOfLength};
 
     /// A wall of large Gaussians, each four pixels wide, half dark and half a hundred times brighter.
     fn wall() -> Reconstruction {
@@ -160,6 +160,7 @@ mod tests {
             map: Map::Gaussians(map),
             vignetting: Vignetting::default(),
             rolling_shutter_readout: 0.0,
+            unit_of_length: UnitOfLength::Metre,
         };
         wall.frames = (0..20_i32)
             .map(|i| {

@@ -194,7 +194,7 @@ impl Scene {
 
     /// The unit of all lengths.
     pub fn unit(&self) -> UnitOfLength {
-        UnitOfLength::of(&self.reconstruction.config)
+        self.reconstruction.unit_of_length
     }
 
     /// True if the world of files is not that of the result.

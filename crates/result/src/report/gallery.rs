@@ -37,7 +37,7 @@ pub(super) fn gallery(report: &Report<'_>) -> String {
     for comparison in report.comparisons {
         let shown = Some(comparison.index) == first;
         // Writing to a string cannot fail.
-        let unit = UnitOfLength::of(&report.reconstruction.config);
+        let unit = report.reconstruction.unit_of_length;
         let name = report.files.name(comparison.index);
         write_pair(&mut out, (comparison, estimate(comparison), &name), shown, unit).ok();
     }
@@ -81,7 +81,7 @@ fn write_pair(
         let [near, far] = [near, far].map(|d| significant(f64::from(d)));
         let unit = match unit {
             UnitOfLength::Metre => " m",
-            UnitOfLength::Unknown => "",
+            UnitOfLength::Keyframes | UnitOfLength::Unknown => "",
         };
         write!(out, "; depth from {near}{unit} (light) to {far}{unit} (dark)")?;
     }

@@ -19,6 +19,12 @@ pub(super) fn lead(report: &Report<'_>) -> String {
             " Lengths hold if {scale} in the depth pictures is one metre, which was assumed: \
              <code>--depth-scale</code> gives it."
         ),
+        (UnitOfLength::Keyframes, _) => {
+            " Unit of length and world are those of the keyframes given; \
+             where lengths are given in metres below, read: in that unit, but for errors against \
+             ground truth."
+                .into()
+        }
         (UnitOfLength::Unknown, _) => " Unit of length: unknown, because pictures alone do not \
              tell the scale; where lengths are given in metres below, read: in that unit, but for \
              errors against ground truth."

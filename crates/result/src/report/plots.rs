@@ -51,6 +51,9 @@ pub(super) fn trajectory(report: &Report<'_>) -> String {
     let truth: Vec<[f64; 3]> = truth.collect();
     let [right, forward, up] = match report.metrics.unit_of_length {
         UnitOfLength::Metre => ["to the right [m]", "forward [m]", "up [m]"],
+        UnitOfLength::Keyframes => {
+            ["to the right", "forward", "up (unit of length of the keyframes given)"]
+        }
         UnitOfLength::Unknown => ["to the right", "forward", "up (unit of length unknown)"],
     };
     // Without measured depth it has another unit of length.

@@ -2,7 +2,7 @@
 
 use crate::failure::{Failure, failed};
 use i2slam::dataset::{OpenOptions, Sequence};
-use i2slam_result::UnitOfLength;
+use i2slam_result::{UnitOfLength, unit_of_trajectory};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -65,7 +65,7 @@ impl Estimate {
     pub(super) fn unit_of_length(&self) -> Result<UnitOfLength, Failure> {
         let Some(path) = self.trajectory() else { return Ok(UnitOfLength::Metre) };
         let text = i2slam_storage::read_text(&path).map_err(|e| failed(&path, e))?;
-        Ok(UnitOfLength::of_trajectory(&text))
+        Ok(unit_of_trajectory(&text))
     }
 
     pub(super) fn result(&self) -> Option<&Path> {

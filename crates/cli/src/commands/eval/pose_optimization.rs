@@ -11,7 +11,7 @@ use crate::messages::note_displaced;
 use crate::progress::Progress;
 use i2slam::FrameEstimate;
 use i2slam::geometry::{Image, Pose, StampedPose};
-use i2slam_result::{RenderKind, UnitOfLength, save_render, save_trajectory};
+use i2slam_result::{RenderKind, save_render, save_trajectory};
 use i2slam_storage::OutputFolder;
 
 /// Folder of the pictures inside the result.
@@ -64,7 +64,7 @@ pub(super) fn draw(
     }
     progress.clear();
     let poses: Vec<StampedPose> = moved.iter().map(|(pose, _)| *pose).collect();
-    let unit = UnitOfLength::of(&reconstruction.config);
+    let unit = reconstruction.unit_of_length;
     save_trajectory(&folder, "trajectory_optimised.txt", &poses, unit)?;
     note_displaced(&folder.commit_or_save()?);
     Ok(corrections(&moved))

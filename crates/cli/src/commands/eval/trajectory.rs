@@ -105,8 +105,8 @@ fn online_errors(
 fn alignment(arguments: &Eval, estimate: &Estimate) -> Result<Alignment, Failure> {
     let fit = match arguments.align {
         Some(fit) => fit,
-        None if estimate.unit_of_length()? == UnitOfLength::Unknown => AlignmentGroup::Sim3,
-        None => AlignmentGroup::Se3,
+        None if estimate.unit_of_length()? == UnitOfLength::Metre => AlignmentGroup::Se3,
+        None => AlignmentGroup::Sim3,
     };
     Ok(match fit {
         AlignmentGroup::Se3 => Alignment::Se3,

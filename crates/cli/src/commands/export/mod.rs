@@ -225,6 +225,9 @@ fn with_unit(
         (UnitOfLength::Metre, Some(scale)) => {
             format!("{what}, in metres if {scale} in the depth pictures is one, as was assumed")
         }
+        (UnitOfLength::Keyframes, _) => {
+            format!("{what}, in the unit of length of the keyframes given")
+        }
         (UnitOfLength::Unknown, _) => {
             format!("{what}, in a unit of length that pictures alone do not tell")
         }
