@@ -25,11 +25,13 @@
 //! are the instruments of the estimate (two-stage least squares). Gauss-Newton with Geman and McClure's
 //! weights, all but `p` eliminated.
 
-use super::{MOMENTS, MeanLight, PairTerms, Products, Term, UNKNOWNS, deviation};
+use super::{MOMENTS, MeanLight, PairTerms, Products, Term, UNKNOWNS, deviation, median_residual};
+use i2slam_compute::{SIGMA_PER_MEDIAN, median};
 use rayon::prelude::*;
 
-/// Steps of Gauss-Newton; eight reach the optimum.
+/// Steps of Gauss-Newton at most, and the change of `p` below which one is the last.
 const STEPS: usize = 15;
+const MIN_STEP: f64 = 3e-4;
 /// Bounds of the power: beyond, the geometry is wrong, not the response.
 const BOUNDS: [f64; 2] = [0.4, 2.5];
 /// Fewest pixels, and blurred pictures: of fewer the scatter says nothing.
@@ -51,6 +53,8 @@ pub struct BlurredPixel {
     /// Logarithms of the linear values of the sharper pictures at the places that it saw during the exposure
     /// of the blurred one.
     pub sharp: [[f64; MOMENTS]; SHARP_PICTURES],
+    /// Derivative of the logarithm of a linear value by the picture value, at that of the blurred picture.
+    pub slope: f64,
 }
 
 /// Pixels of a blurred picture that sharp ones explain.
@@ -67,6 +71,9 @@ pub struct PowerEstimate {
     pub power: f64,
     /// Standard deviation of `p` by the scatter between blurred pictures.
     pub deviation: f64,
+    /// Robust deviation of what is not explained, in picture values: the smaller, the nearer the response is
+    /// to the true one, up to its power.
+    pub residual: f64,
 }
 
 impl BlurredPixel {
@@ -98,7 +105,7 @@ pub fn estimate_power(pictures: &[BlurredPicture]) -> Option<PowerEstimate> {
     if pixels < MIN_PIXELS || pictures < MIN_PICTURES {
         return None;
     }
-    let mut estimate = PowerEstimate { power: 1.0, deviation: f64::INFINITY };
+    let mut estimate = PowerEstimate { power: 1.0, deviation: f64::INFINITY, residual: 0.0 };
     let mut motions = vec![[Motion::default(); SHARP_PICTURES]; pictures];
     for _ in 0..STEPS {
         let products = products_of_pictures(&used, estimate.power, &motions)?;
@@ -122,7 +129,11 @@ pub fn estimate_power(pictures: &[BlurredPicture]) -> Option<PowerEstimate> {
         estimate.power = power;
         let pairs = motions.iter_mut().flatten().zip(products.iter().flatten());
         pairs.for_each(|(motion, products)| motion.step(products, taken));
+        if taken.abs() < MIN_STEP {
+            break;
+        }
     }
+    estimate.residual = residual(&used, estimate.power, &motions)?;
     let is_inside = BOUNDS[0] < estimate.power && estimate.power < BOUNDS[1];
     (is_inside && estimate.deviation.is_finite()).then_some(estimate)
 }
@@ -146,11 +157,12 @@ impl Motion {
     }
 }
 
-fn products_of_pictures(
+/// Terms of the pairs of each picture.
+fn terms_of_pictures(
     pictures: &[&BlurredPicture],
     power: f64,
     motions: &[[Motion; SHARP_PICTURES]],
-) -> Option<Vec<[Products; SHARP_PICTURES]>> {
+) -> Vec<[PairTerms; SHARP_PICTURES]> {
     let terms = |(picture, motions): (&&BlurredPicture, &[Motion; SHARP_PICTURES])| {
         let term = |pixel: &BlurredPixel, sharp: usize| {
             let mut term = pixel.term(sharp, power);
@@ -163,8 +175,37 @@ fn products_of_pictures(
         };
         std::array::from_fn(of_pair)
     };
-    let terms: Vec<[PairTerms; SHARP_PICTURES]> =
-        pictures.par_iter().zip(motions).map(terms).collect();
+    pictures.par_iter().zip(motions).map(terms).collect()
+}
+
+/// Robust deviation of the residuals, in picture values; `None` of none.
+fn residual(
+    pictures: &[&BlurredPicture],
+    power: f64,
+    motions: &[[Motion; SHARP_PICTURES]],
+) -> Option<f64> {
+    let terms = terms_of_pictures(pictures, power, motions);
+    let mut all = Vec::new();
+    for (picture, pairs) in pictures.iter().zip(&terms) {
+        for pair in pairs {
+            for (pixels, terms) in picture.channels.iter().zip(pair) {
+                let centre = median_residual(terms);
+                let in_values = |(pixel, term): (&BlurredPixel, &Term)| {
+                    (term.residual - centre).abs() / pixel.slope
+                };
+                all.extend(pixels.iter().zip(terms).map(in_values));
+            }
+        }
+    }
+    Some(SIGMA_PER_MEDIAN * median(&mut all)?)
+}
+
+fn products_of_pictures(
+    pictures: &[&BlurredPicture],
+    power: f64,
+    motions: &[[Motion; SHARP_PICTURES]],
+) -> Option<Vec<[Products; SHARP_PICTURES]>> {
+    let terms = terms_of_pictures(pictures, power, motions);
     let sigma = deviation(terms.iter().flatten())?;
     let of_picture = |pairs: &[PairTerms; SHARP_PICTURES]| {
         pairs.each_ref().map(|terms| Products::new(terms, sigma))
@@ -204,6 +245,7 @@ mod tests {
             BlurredPixel {
                 blurred: [std::array::from_fn(shown); SHARP_PICTURES],
                 sharp: [4, 8].map(|first| std::array::from_fn(|u| seen(u, random[first + u % 4]))),
+                slope: 2.0,
             }
         };
         let channel = |pair: u64, c: u64| {
@@ -223,6 +265,24 @@ mod tests {
             let error = (found.power / power - 1.0).abs();
             assert!(error < 0.05 && found.deviation < 0.05, "{power}: {found:?}");
         }
+    }
+
+    /// A bent response leaves more unexplained, whatever its power.
+    #[test]
+    fn the_residual_tells_the_shape_of_the_response() {
+        let residual = |bend: f64| {
+            let mut pictures = pictures(1.0, 1.0, 6);
+            let pixels = pictures.iter_mut().flat_map(|picture| picture.channels.iter_mut());
+            for pixel in pixels.flatten() {
+                let bent = |log: f64| log + bend * log * log;
+                pixel.slope *= 1.0 + 2.0 * bend * pixel.blurred[0][MOMENTS / 2];
+                pixel.blurred = pixel.blurred.map(|logs| logs.map(bent));
+                pixel.sharp = pixel.sharp.map(|logs| logs.map(bent));
+            }
+            estimate_power(&pictures).expect("blur").residual
+        };
+        let [true_one, less, more] = [0.0, -0.1, 0.1].map(residual);
+        assert!(true_one < 0.97 * less && true_one < 0.97 * more, "{true_one} {less} {more}");
     }
 
     #[test]
@@ -249,7 +309,7 @@ mod tests {
         for seed in 1..6 {
             let random = noise(seed, 2 * MOMENTS);
             let of = |first: usize| [std::array::from_fn(|u| random[first + u]); SHARP_PICTURES];
-            let pixel = BlurredPixel { blurred: of(0), sharp: of(MOMENTS) };
+            let pixel = BlurredPixel { blurred: of(0), sharp: of(MOMENTS), slope: 1.0 };
             let slope = [pixel.term(0, 0.8).derivatives[0]];
             let residual = |x: &[f64]| -pixel.term(0, x[0]).residual;
             assert_gradient("power", &[0.8], &slope, 1e-5, 1e-6, residual);

@@ -125,6 +125,14 @@ pub struct ResponseEstimate {
     pub vignetting_power: f64,
 }
 
+impl ResponseEstimate {
+    /// The response on the way from the start curve, 0, to that of the points, 1.
+    #[must_use]
+    pub fn part(&self, share: f64, start: StartCurve) -> LogResponse {
+        LogResponse::new(&log_slopes(start), self.response.offsets().map(|d| share * d))
+    }
+}
+
 /// Response and vignetting, as far as they are known.
 struct Unknowns {
     curve: LogResponse,

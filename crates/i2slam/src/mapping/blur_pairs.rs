@@ -20,7 +20,7 @@ const MAX_BLUR_RATIO: f64 = 0.5;
 /// Most blurred keyframes, the most blurred ones.
 const MAX_BLURRED: usize = 16;
 /// Pixels of a blurred picture, about.
-const PIXELS: usize = 5000;
+const PIXELS: usize = 3000;
 
 /// A pixel of a blurred keyframe at moments of the exposures of sharper ones, and of these at moments of its
 /// exposure.

@@ -5,8 +5,8 @@
 
 use super::context::MappingContext;
 use super::keyframe::Keyframe;
+use super::log_light::{RaisedVignetting, log_lights};
 use super::mapper::Mapper;
-use super::response::log_lights;
 use super::surface_pairs::spread;
 use super::view::{MomentSamples, View, place_within, surface_of};
 use crate::objective::blur_length;
@@ -307,7 +307,8 @@ impl Pictures<'_> {
                 continue;
             };
             for (channel, point) in point.iter_mut().enumerate() {
-                let logs = |samples| log_lights(&self.curve, self.lens, samples, channel);
+                let lens = RaisedVignetting { found: self.lens, power: 1.0 };
+                let logs = |samples| log_lights(&self.curve, lens, samples, channel);
                 let both = logs(&in_own).zip(logs(&in_other));
                 point[partner] = both.map(|(own, other)| SharedPoint { own, other });
             }

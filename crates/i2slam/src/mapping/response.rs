@@ -5,21 +5,23 @@
 //! radiance and exposures are then taken over from the former one, so that the map shows the pictures
 //! as before.
 
-use super::blur_pairs::{BlurredView, MovedPixel};
+use super::blur_pairs::BlurredView;
 use super::context::MappingContext;
 use super::frame_gains::{ChannelPairs, apply_gains, solve_gains};
+use super::log_light::{log_linear, log_range, log_vignetting};
 use super::mapper::Mapper;
+use super::response_by_blur::{power_by_blur, shape_by_blur};
 use super::response_change::ResponseChange;
 use super::surface_pairs::{BlurredSample, ComparedViews, MAX_VALUE, PLACE_DEVIATION, SamplePair};
-use super::view::{MomentSamples, PictureSample};
 use super::white_balance::{ChannelBalance, balance_channels};
 use crate::config::{Config, ResponseScope};
 use crate::reconstruction::FrameEstimate;
-use i2slam_formation::blur_estimate::{
-    BlurredPicture, BlurredPixel, MOMENTS, SHARP_PICTURES, estimate_power,
+use i2slam_formation::response_estimate::{
+    ResponseEstimate, TIED, ValuePair, deviation_by_response, estimate,
 };
-use i2slam_formation::response_estimate::{TIED, ValuePair, deviation_by_response, estimate};
-use i2slam_formation::{CameraResponse, FrameTone, ResponseCurve, Vignetting, WhiteBalanceModel};
+use i2slam_formation::{
+    CameraResponse, FrameTone, ResponseCurve, StartCurve, Vignetting, WhiteBalanceModel,
+};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
@@ -38,16 +40,6 @@ const MIN_IMPROVEMENT: f64 = 1.02;
 const MIN_EXPOSURE_RANGE: f64 = 0.5;
 /// Frames from which one whose gain is wrong may be left out at either end of that range.
 const MANY_FRAMES: usize = 5;
-/// Picture values of blurred pixels and of what they saw.
-const BLUR_COMPARED: [f32; 2] = [0.06, 0.97];
-/// Standard deviation of the logarithm of the power that start curve and pictures of different exposure
-/// leave: sRGB, a measured response and Reinhard's are 1.08, 1.16 and 0.86 of the start curve.
-const PRIOR_DEVIATION: f64 = 0.15;
-/// Error of the power by blur beyond its scatter, as that of interpolation. Powers of known responses are
-/// within 0.6 % in two rendered rooms, 4 % below in a third, 5 and 8 % below in two path-traced ones.
-const POWER_ERROR: f64 = 0.05;
-/// Distance of the power by blur from what is known without, in standard deviations, at most.
-const MAX_POWER_DEVIATIONS: f64 = 2.0;
 /// Ratio of the stops that a response spans to those of the start curve, at most: the bound of the power by
 /// blur, beyond which the geometry is wrong.
 const MAX_RANGE_RATIO: f64 = 2.5;
@@ -172,13 +164,16 @@ fn next_response(
     lens: Vignetting<f32>,
     gauge_frame: usize,
 ) -> Option<CameraResponse<f32>> {
-    let shape = points.better_response(response, gauge_frame);
-    let power = power_by_blur(blurred, shape.as_ref().unwrap_or(response), lens);
+    let found = points.estimate(response.start(), gauge_frame);
+    let by_blur = shape_by_blur(blurred, response, found.as_ref(), lens);
+    let by_points = || found.as_ref().and_then(|found| points.better_response(response, found));
+    let shape = by_blur.or_else(by_points);
+    let former = response.curve();
+    let power = power_by_blur(blurred, shape.as_ref().unwrap_or(response), (lens, &former));
     if shape.is_none() && power.is_none() {
         return None;
     }
     // A power that was found before stays where blur tells none this time.
-    let former = response.curve();
     let kept =
         |shape: &CameraResponse<f32>| log_range(&former, TIED) / log_range(&shape.curve(), TIED);
     let has_power = context.has_found_response;
@@ -194,88 +189,6 @@ fn is_plausible(response: &CameraResponse<f32>) -> bool {
     let spanned = TRUSTED.map(f64::from);
     let ratio = log_range(&response.curve(), spanned) / log_range(&start, spanned);
     (1.0 / MAX_RANGE_RATIO..MAX_RANGE_RATIO).contains(&ratio)
-}
-
-/// The power to which linear values are to be raised: between that of the start curve and that by blur, by
-/// what is known of both; `None` without blur.
-fn power_by_blur(
-    blurred: &[BlurredView],
-    response: &CameraResponse<f32>,
-    lens: Vignetting<f32>,
-) -> Option<f64> {
-    let curve = response.curve();
-    let start = CameraResponse::<f32>::new(1, response.start(), response.spacing()).curve();
-    let power = log_range(&curve, TIED) / log_range(&start, TIED);
-    let found = estimate_power(&blurred_pixels(blurred, &curve, lens))?;
-    let log_power = (power * found.power).ln();
-    let variance = (found.deviation / found.power).powi(2) + POWER_ERROR.powi(2);
-    let total = PRIOR_DEVIATION.powi(2) + variance;
-    // Farther from the start curve's than both deviations allow: the motion is wrong.
-    let is_plausible = log_power.abs() < MAX_POWER_DEVIATIONS * total.sqrt();
-    is_plausible.then(|| (log_power * PRIOR_DEVIATION.powi(2) / total).exp() / power)
-}
-
-/// Distance of the logarithms of the linear values of two picture values, the mean over channels.
-pub(super) fn log_range(curve: &ResponseCurve<f32>, [low, high]: [f64; 2]) -> f64 {
-    let range = |channel| log_linear(curve, channel, high) - log_linear(curve, channel, low);
-    (0..3).map(range).sum::<f64>() / 3.0
-}
-
-fn blurred_pixels(
-    blurred: &[BlurredView],
-    curve: &ResponseCurve<f32>,
-    lens: Vignetting<f32>,
-) -> Vec<BlurredPicture> {
-    let pixel = |moved: &MovedPixel, channel: usize| {
-        let logs = |of: &[MomentSamples; SHARP_PICTURES]| {
-            let [first, second] = of.each_ref().map(|s| log_lights(curve, lens, s, channel));
-            Some([first?, second?])
-        };
-        Some(BlurredPixel { blurred: logs(&moved.blurred)?, sharp: logs(&moved.sharp)? })
-    };
-    let picture = |view: &BlurredView| BlurredPicture {
-        channels: std::array::from_fn(|channel| {
-            view.pixels.iter().filter_map(|moved| pixel(moved, channel)).collect()
-        }),
-    };
-    blurred.par_iter().map(picture).collect()
-}
-
-/// [`log_light`] at the moments of an exposure; `None` where one is badly exposed.
-pub(super) fn log_lights(
-    curve: &ResponseCurve<f32>,
-    lens: Vignetting<f32>,
-    samples: &[PictureSample; MOMENTS],
-    channel: usize,
-) -> Option<[f64; MOMENTS]> {
-    let mut logs = [0.0; MOMENTS];
-    for (log, sample) in logs.iter_mut().zip(samples) {
-        *log = log_light(curve, lens, sample, channel)?;
-    }
-    Some(logs)
-}
-
-/// Logarithm of the light of a sample behind the lens; `None` where it is badly exposed.
-fn log_light(
-    curve: &ResponseCurve<f32>,
-    lens: Vignetting<f32>,
-    sample: &PictureSample,
-    channel: usize,
-) -> Option<f64> {
-    let value = sample.values[channel];
-    let is_exposed = (BLUR_COMPARED[0]..=BLUR_COMPARED[1]).contains(&value);
-    let light = || {
-        log_linear(curve, channel, f64::from(value)) - log_vignetting(lens, sample.squared_radius)
-    };
-    is_exposed.then(light)
-}
-
-pub(super) fn log_linear(curve: &ResponseCurve<f32>, channel: usize, value: f64) -> f64 {
-    f64::from(curve.inverse(channel, value as f32).max(f32::MIN_POSITIVE)).ln()
-}
-
-fn log_vignetting(lens: Vignetting<f32>, squared_radius: f64) -> f64 {
-    f64::from(lens.at(squared_radius as f32)).ln()
 }
 
 /// Range of the exposures of frames, but for the longest and the shortest where there are many.
@@ -313,25 +226,28 @@ impl PairedValues {
         Self { frames, all: within([MIN_VALUE, COMPARED[1]]), points: within(COMPARED) }
     }
 
-    /// The response that explains the points better than the former one; `None` where none does, or
-    /// exposures are too much alike to tell.
-    fn better_response(
-        &self,
-        response: &CameraResponse<f32>,
-        gauge_frame: usize,
-    ) -> Option<CameraResponse<f32>> {
-        let former = response.curve();
+    /// The response by the points; `None` of too few, or where exposures are too much alike to tell.
+    fn estimate(&self, start: StartCurve, gauge_frame: usize) -> Option<ResponseEstimate> {
         // n (n - 1)/2 pairs of n views: each view is compared with n - 1 others, by half of its points.
         let pairs = self.frames.len() as f64;
         let repeats = (2.0 * pairs).sqrt() / 2.0;
-        let found = estimate(&self.all.concat(), repeats, response.start())?;
+        let found = estimate(&self.all.concat(), repeats, start)?;
+        let curve = found.response.camera_response(3, start).curve();
+        let gains = self.gains(&curve, gauge_frame, &[]);
+        (range_in_stops(&gains) >= MIN_EXPOSURE_RANGE).then_some(found)
+    }
+
+    /// The response that was found if it explains the points better than the former one.
+    fn better_response(
+        &self,
+        response: &CameraResponse<f32>,
+        found: &ResponseEstimate,
+    ) -> Option<CameraResponse<f32>> {
         let next = found.response.camera_response(response.nodes.len(), response.start());
-        let gains = self.gains(&next.curve(), gauge_frame, &[]);
-        let is_observable = range_in_stops(&gains) >= MIN_EXPOSURE_RANGE;
         // Of the power that the vignetting has.
         let fitted = next.raised(found.vignetting_power.recip()).curve();
-        let [before, after] = [&former, &fitted].map(|curve| self.deviation(curve));
-        (is_observable && before? > MIN_IMPROVEMENT * after?).then_some(next)
+        let [before, after] = [&response.curve(), &fitted].map(|curve| self.deviation(curve));
+        (before? > MIN_IMPROVEMENT * after?).then_some(next)
     }
 
     /// Deviation of the points by a response, the mean over the channels that have some.
@@ -395,12 +311,10 @@ fn value_pair(
 
 #[cfg(test)]
 mod tests {
-    use super::super::blur_pairs::moved_pixels;
     use super::super::surface_pairs::tests::{Gains, compared_views};
-    use super::super::view::tests::{CAMERA, curve, exposed_view};
+    use super::super::view::tests::curve;
     use super::*;
-    use i2slam_formation::{NodeSpacing, StartCurve};
-    use i2slam_geometry::{Pose, Tangent};
+    use i2slam_formation::NodeSpacing;
 
     fn response(start: StartCurve) -> CameraResponse<f32> {
         CameraResponse::new(3, start, NodeSpacing::Power(2.5))
@@ -424,11 +338,14 @@ mod tests {
             PairedValues::new(&compared_views(7, &lens, Gains { stops: 1.2, red: 0.36 }), lens);
         let mut former = response(StartCurve::Shoulder);
         former.nodes = response(StartCurve::Srgb).nodes;
-        let found = points.better_response(&former, 0).expect("better than sRGB").curve();
+        let better = |former: &CameraResponse<f32>| {
+            points.better_response(former, &points.estimate(former.start(), 0)?)
+        };
+        let found = better(&former).expect("better than sRGB").curve();
         let [before, after] = [former.curve(), found].map(|c| apart(&c, &curve()));
         assert!(after < 0.15 && before > 0.5, "{before} {after}");
         let known = response(StartCurve::Shoulder);
-        assert!(points.better_response(&known, 0).is_none(), "the true one was replaced");
+        assert!(better(&known).is_none(), "the true one was replaced");
     }
 
     #[test]
@@ -443,32 +360,6 @@ mod tests {
         let lens = Vignetting::default();
         let points =
             PairedValues::new(&compared_views(7, &lens, Gains { stops: 0.0, red: 0.0 }), lens);
-        assert!(points.better_response(&response(StartCurve::Srgb), 0).is_none());
-    }
-
-    #[test]
-    fn blur_tells_the_power_of_linear_values() {
-        let lens = Vignetting { coefficients: [-0.3, 0.0, 0.0] };
-        let view = |at: f64, rotation: [f64; 3], log_exposure: f32| {
-            let pose = Pose::identity().retract(Tangent::from_array([at, 0.0, 0.0, 0.0, 0.0, 0.0]));
-            let [x, y, z] = rotation;
-            let velocity = Tangent::from_array([0.0, 0.0, 0.0, x, y, z]);
-            let tone = FrameTone { log_exposure, ..FrameTone::default() };
-            exposed_view(pose, velocity, &tone, &lens, 0)
-        };
-        let sharp = [0.0, -0.03].map(|at| view(at, [0.0; 3], 0.0));
-        let motions = [[0.0, 0.2, 0.0], [0.25, 0.0, 0.0], [0.15, -0.15, 0.1], [-0.1, 0.2, 0.0]];
-        let blurred = (0..4).map(|k| {
-            let moved = view(0.05 * k as f64, motions[k], 0.3 * k as f32);
-            BlurredView { pixels: moved_pixels(&moved, &sharp, &CAMERA, None) }
-        });
-        let blurred: Vec<BlurredView> = blurred.collect();
-        let known = response(StartCurve::Shoulder);
-        for wrong in [0.9, 1.0, 1.1] {
-            let power = power_by_blur(&blurred, &known.raised(wrong), lens).expect("blur");
-            assert!((power * wrong - 1.0).abs() < 0.08, "{wrong}: {power}");
-        }
-        assert_eq!(power_by_blur(&blurred[..3], &known, lens), None);
-        assert_eq!(power_by_blur(&blurred, &known.raised(3.0), lens), None);
+        assert!(points.estimate(StartCurve::Srgb, 0).is_none());
     }
 }

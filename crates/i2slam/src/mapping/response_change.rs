@@ -1,6 +1,7 @@
 //! From one response to another whose pictures are the same.
 
-use super::response::{TRUSTED, log_range};
+use super::log_light::log_range;
+use super::response::TRUSTED;
 use i2slam_formation::{FrameTone, ResponseCurve};
 
 /// Picture values whose distance in stops tells by how much exposures are stretched.

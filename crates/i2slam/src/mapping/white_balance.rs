@@ -23,7 +23,8 @@
 
 use super::context::MappingContext;
 use super::frame_gains::{Difference, solve_differences};
-use super::response::{COMPARED, log_linear};
+use super::log_light::log_linear;
+use super::response::COMPARED;
 use super::surface_pairs::{ComparedViews, SamplePair};
 use i2slam_formation::{ResponseCurve, WhiteBalanceModel};
 use std::collections::BTreeMap;
