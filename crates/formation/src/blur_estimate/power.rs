@@ -29,8 +29,10 @@ use super::{MOMENTS, MeanLight, PairTerms, Products, Term, UNKNOWNS, deviation, 
 use i2slam_compute::{SIGMA_PER_MEDIAN, median};
 use rayon::prelude::*;
 
-/// Steps of Gauss-Newton at most, and the change of `p` below which one is the last.
+/// Steps of Gauss-Newton at most, at least, as motions need some where `p` does not change, and the change of
+/// `p` below which one is the last.
 const STEPS: usize = 15;
+const MIN_STEPS: usize = 4;
 const MIN_STEP: f64 = 3e-4;
 /// Bounds of the power: beyond, the geometry is wrong, not the response.
 const BOUNDS: [f64; 2] = [0.4, 2.5];
@@ -107,7 +109,7 @@ pub fn estimate_power(pictures: &[BlurredPicture]) -> Option<PowerEstimate> {
     }
     let mut estimate = PowerEstimate { power: 1.0, deviation: f64::INFINITY, residual: 0.0 };
     let mut motions = vec![[Motion::default(); SHARP_PICTURES]; pictures];
-    for _ in 0..STEPS {
+    for number in 1..=STEPS {
         let products = products_of_pictures(&used, estimate.power, &motions)?;
         let of_picture = |pair: &[Products; SHARP_PICTURES]| {
             let [first, second] = pair.each_ref().map(Products::reduced);
@@ -129,7 +131,7 @@ pub fn estimate_power(pictures: &[BlurredPicture]) -> Option<PowerEstimate> {
         estimate.power = power;
         let pairs = motions.iter_mut().flatten().zip(products.iter().flatten());
         pairs.for_each(|(motion, products)| motion.step(products, taken));
-        if taken.abs() < MIN_STEP {
+        if number >= MIN_STEPS && taken.abs() < MIN_STEP {
             break;
         }
     }
