@@ -7,7 +7,7 @@ use crate::reconstruction::{FrameEstimate, Map};
 use crate::tracking::sampling;
 use crate::warning::Warning;
 use i2slam_compute::{CancellationToken, Random};
-use i2slam_formation::{CameraResponse, ResponseCurve, WhiteBalanceModel};
+use i2slam_formation::{CameraResponse, Formation, ResponseCurve, WhiteBalanceModel};
 use i2slam_geometry::{Camera, Image};
 use std::collections::BTreeMap;
 use std::time::Instant;
@@ -82,6 +82,15 @@ impl MappingContext<'_> {
             readout: estimate.readout,
             depth_pose: estimate.depth_is_apart().then(|| estimate.depth_pose()),
         }
+    }
+
+    /// From radiance to the picture of a frame, by its response curve.
+    pub(super) fn formation<'b>(
+        &'b self,
+        frame: usize,
+        curve: &'b ResponseCurve<f32>,
+    ) -> Formation<'b> {
+        Formation { tone: self.frames[frame].tone, curve, vignetting: self.vignetting }
     }
 
     /// Response curves of `views` by response index; none with `tone` off.

@@ -1,9 +1,9 @@
 //! Mapping with 3D Gaussians.
 
 mod anchors;
-mod contribution;
 mod density_control;
 mod detail_evidence;
+mod explained_error;
 mod flat_gaussians;
 mod merge;
 mod optimizer;
@@ -22,17 +22,17 @@ use super::mapper::{ComparedMap, FinalRefinement, Growth, Mapper};
 use super::window::overlapping_window;
 use crate::config::Config;
 use crate::objective::{FrameObjective, FrameVariables, Observation};
-use crate::reconstruction::{FrameEstimate, Map};
+use crate::reconstruction::Map;
 use crate::tracking::{TrackingContext, TrackingResult};
 use anchors::Anchors;
-use contribution::{Contributions, PredictionError, spread_frames};
 use density_control::{
     SourceFrame, SurfaceVotes, max_scale, open_pixels, outside_surface, push_balls,
     unexplained_pixels, worth_keeping,
 };
 use detail_evidence::DetailEvidence;
+use explained_error::{ExplainedError, PRUNE_PASSES, PredictionError, spread_frames};
 use flat_gaussians::{partition, push_flat_gaussians};
-use i2slam_formation::{CameraResponse, CentreVelocity, Formation, ResponseCurve, TrajectoryScale};
+use i2slam_formation::{CameraResponse, CentreVelocity, ResponseCurve, TrajectoryScale};
 use i2slam_geometry::{Camera, Image, Pose};
 use i2slam_radiance::Render;
 use i2slam_radiance::gaussian::{ColourActivation, GaussianMap, RasterSettings, Shape};
@@ -107,34 +107,37 @@ impl GaussianMapper {
         self.retain(&keep);
     }
 
-    /// Removes flat Gaussians that contribute next to nothing to any picture.
-    fn prune_by_contribution(&mut self, context: &MappingContext<'_>) {
+    /// Removes flat Gaussians that explain too little of the pictures.
+    fn prune_by_explained_error(&mut self, context: &MappingContext<'_>) {
         if self.current.map.shape == Shape::Isotropic {
             return;
         }
-        let frames = context.frames.iter().enumerate();
-        let is_between = |place: usize| !context.is_keyframe(place);
-        let between: Vec<&FrameEstimate> = frames
-            .filter(|(place, frame)| frame.tracked && !frame.held_out && is_between(*place))
-            .map(|(_, frame)| frame)
-            .collect();
         let is_running = || !context.cancellation.is_cancelled();
         let mut error = PredictionError::default();
         for keyframe in context.keyframes.iter().take_while(|_| is_running()) {
             let observation = keyframe.observation.get();
-            let curve = response_curve(context, keyframe);
+            let curve = response_curve(context, keyframe.frame);
             let prediction = self.predict(context, (keyframe, &observation), curve.as_ref());
             error.add(&prediction, &observation.colour, context.valid_mask);
         }
-        let keyframes = context.keyframes.iter().map(|keyframe| &context.frames[keyframe.frame]);
+        let is_between = |place: &usize| {
+            let frame = &context.frames[*place];
+            frame.tracked && !frame.held_out && !context.is_keyframe(*place)
+        };
+        let between = Vec::from_iter((0..context.frames.len()).filter(is_between));
+        let keyframes = context.keyframes.iter().map(|keyframe| keyframe.frame);
         let others = spread_frames(&between, context.keyframes.len()).copied();
-        let mut contributions = Contributions::new(&self.current.map);
-        for frame in keyframes.chain(others).take_while(|_| is_running()) {
-            contributions.add(context.camera, frame.middle(), context.valid_mask);
+        let mut explained = ExplainedError::new(&self.current.map, error);
+        for place in keyframes.chain(others).take_while(|_| is_running()) {
+            let curve = response_curve(context, place);
+            let tone = curve.as_ref().map(|curve| context.formation(place, curve));
+            let view = (context.camera, context.frames[place].middle());
+            explained.add(view, tone.as_ref(), context.valid_mask);
         }
-        // What not all pictures were asked about may show in the others.
+        // What not all pictures were asked about may explain the others.
         if is_running() {
-            self.retain(&contributions.keep(error));
+            let keep = explained.keep();
+            self.retain(&keep);
         }
     }
 
@@ -176,10 +179,9 @@ impl GaussianMapper {
         (keyframe, observation): (&Keyframe, &Observation),
         curve: Option<&ResponseCurve<f32>>,
     ) -> Image<f32> {
-        let tone = context.frames[keyframe.frame].tone;
         let variables = FrameVariables {
             exposure: context.exposure(keyframe.frame, observation),
-            tone: curve.map(|curve| Formation { tone, curve, vignetting: context.vignetting }),
+            tone: curve.map(|curve| context.formation(keyframe.frame, curve)),
         };
         let ComparedMap { map, objective } = &mut self.current;
         objective.predict(map, &variables).clone()
@@ -209,7 +211,8 @@ impl GaussianMapper {
         evidence: &mut DetailEvidence,
     ) {
         let render = self.render_at_depth(context, keyframe);
-        let (observation, curve) = (keyframe.observation.get(), response_curve(context, keyframe));
+        let (observation, curve) =
+            (keyframe.observation.get(), response_curve(context, keyframe.frame));
         let prediction = self.predict(context, (keyframe, &observation), curve.as_ref());
         let source = source_frame(context, keyframe, &observation, curve.as_ref(), Some(&render));
         let (map, bounds) = (&mut self.current.map, &mut self.scale_bounds);
@@ -224,7 +227,8 @@ impl GaussianMapper {
     fn extend(&mut self, context: &mut MappingContext<'_>, current: &Keyframe, closed: &[bool]) {
         let parameters = &context.config.parameters.gaussians;
         let render = (!self.is_empty()).then(|| self.render_at_depth(context, current));
-        let (observation, curve) = (current.observation.get(), response_curve(context, current));
+        let (observation, curve) =
+            (current.observation.get(), response_curve(context, current.frame));
         let source = source_frame(context, current, &observation, curve.as_ref(), render.as_ref());
         let mut wanted = match &render {
             Some(render) => unexplained_pixels(self.current.map.shape, &source, render),
@@ -278,15 +282,15 @@ impl GaussianMapper {
     }
 }
 
-/// Response curve of a keyframe; none with `tone` off.
-fn response_curve(context: &MappingContext<'_>, keyframe: &Keyframe) -> Option<ResponseCurve<f32>> {
-    let response = context.frames[keyframe.frame].response;
+/// Response curve of a frame; none with `tone` off.
+fn response_curve(context: &MappingContext<'_>, frame: usize) -> Option<ResponseCurve<f32>> {
+    let response = context.frames[frame].response;
     context.config.formation.tone.then(|| context.responses[response].curve())
 }
 
 /// A keyframe as a source of Gaussians.
 fn source_frame<'a>(
-    context: &MappingContext<'a>,
+    context: &'a MappingContext<'_>,
     keyframe: &Keyframe,
     observation: &'a Observation,
     curve: Option<&'a ResponseCurve<f32>>,
@@ -303,11 +307,7 @@ fn source_frame<'a>(
         readout: estimate.readout,
         observation,
         depth: placement_depth(observation, is_filled, context.valid_mask, render),
-        tone: curve.map(|curve| Formation {
-            tone: estimate.tone,
-            curve,
-            vignetting: context.vignetting,
-        }),
+        tone: curve.map(|curve| context.formation(keyframe.frame, curve)),
     }
 }
 
@@ -391,7 +391,7 @@ impl Mapper for GaussianMapper {
     }
 
     /// Steps over all keyframes in random order, each equally often, then prunes. First, flat Gaussians
-    /// that pictures hardly show are removed, and the others are split where at least a third of all
+    /// that explain too little are removed, and the others are split where at least a third of all
     /// steps is left to fit the parts. View colours begin with the second part, when exposures have
     /// settled, which they would explain otherwise.
     fn refine_all(
@@ -402,7 +402,7 @@ impl Mapper for GaussianMapper {
     ) -> bool {
         let splits = 3 * steps.start < 2 * total;
         if !steps.is_empty() {
-            self.prune_by_contribution(context);
+            (0..PRUNE_PASSES).for_each(|_| self.prune_by_explained_error(context));
         }
         if splits && self.current.map.shape == Shape::Anisotropic {
             let mut evidence = self.detail_evidence(context);

@@ -8,7 +8,6 @@ use crate::mapping::keyframe::Keyframe;
 use crate::mapping::mapper::ComparedMap;
 use crate::objective::{Evaluation, FrameVariables, ImageLoss, Observation};
 use i2slam_compute::Adam;
-use i2slam_formation::Formation;
 use i2slam_radiance::gaussian::{GaussianMap, MapGradient, Shape, ViewColours};
 use rayon::prelude::*;
 
@@ -154,11 +153,7 @@ impl GaussianOptimizer {
         let curve = config.formation.tone.then(|| context.responses[estimate.response].curve());
         let variables = FrameVariables {
             exposure: context.exposure(keyframe.frame, observation),
-            tone: curve.as_ref().map(|curve| Formation {
-                tone: estimate.tone,
-                curve,
-                vignetting: context.vignetting,
-            }),
+            tone: curve.as_ref().map(|curve| context.formation(keyframe.frame, curve)),
         };
         let loss = ImageLoss {
             pixel: config.parameters.gaussians.pixel_loss,
