@@ -14,7 +14,7 @@
 //! `p` numbers of a Gaussian are worth it where S is above `2 p`. Of two Gaussians that cover the same, each
 //! explains little while the other is there: of those below the limit half are removed in each of three passes.
 
-use i2slam_compute::Random;
+use i2slam_compute::{Random, median};
 use i2slam_formation::Formation;
 use i2slam_geometry::{Camera, Image, Pose};
 use i2slam_radiance::gaussian::{GaussianMap, MapGradient, RasterSettings, Rasterizer};
@@ -30,6 +30,8 @@ const LIMIT: f32 = 2.0 * PARAMETERS;
 const REMOVED_SHARE: f64 = 0.5;
 /// Passes, each with the estimate for what is left.
 pub(super) const PRUNE_PASSES: usize = 3;
+/// Tolerance of pictures, however badly they are predicted; white is 1.
+const MAX_TOLERANCE: f32 = 0.05;
 /// Tolerance of the depth of a surface, over the depth.
 const DEPTH_TOLERANCE: f32 = 0.01;
 /// Least slope of a picture by log radiance that counts: what one picture clips another may show.
@@ -43,11 +45,11 @@ pub(super) fn spread_frames<T>(frames: &[T], keyframes: usize) -> impl Iterator<
     (1..=count).map(move |number| &frames[number * frames.len() / count - 1])
 }
 
-/// Mean squared difference of predictions and pictures.
-#[derive(Clone, Copy, Default)]
+/// Errors of predicted pictures.
+#[derive(Default)]
 pub(super) struct PredictionError {
-    squares: f64,
-    values: usize,
+    /// Mean squared difference, of each picture.
+    mean_squares: Vec<f32>,
 }
 
 impl PredictionError {
@@ -59,17 +61,18 @@ impl PredictionError {
         mask: Option<&Image<bool>>,
     ) {
         let is_valid = |pixel: usize| mask.is_none_or(|mask| mask.data[pixel]);
-        let pixels = picture.width * picture.height;
-        let values = prediction.data.iter().zip(&picture.data).enumerate();
-        for (_, (a, b)) in values.filter(|(value, _)| is_valid(value % pixels)) {
-            self.squares += f64::from(a - b).powi(2);
-            self.values += 1;
+        let (mut squares, mut values) = (0.0, 0);
+        let pairs = prediction.data.iter().zip(&picture.data).enumerate();
+        for (_, (a, b)) in pairs.filter(|(value, _)| is_valid(value % picture.pixels())) {
+            squares += f64::from(a - b).powi(2);
+            values += 1;
         }
+        self.mean_squares.push((squares / f64::from(values)) as f32);
     }
 
-    /// Root of the mean square; not a number without a picture.
-    fn deviation(self) -> f32 {
-        (self.squares / self.values as f64).sqrt() as f32
+    /// Root of the median over pictures, because one at a wrong pose is predicted as badly as can be.
+    fn deviation(mut self) -> f32 {
+        median(&mut self.mean_squares).map_or(f32::NAN, f32::sqrt)
     }
 }
 
@@ -90,7 +93,7 @@ impl<'a> ExplainedError<'a> {
     pub(super) fn new(map: &'a GaussianMap, error: PredictionError) -> Self {
         Self {
             map,
-            tolerance: error.deviation(),
+            tolerance: error.deviation().clamp(0.0, MAX_TOLERANCE),
             random: Random::new(SEED),
             // Where opacity is cut, no derivative by it is left.
             rasterizer: Rasterizer::new(RasterSettings { alpha_max: 1.0, ..Default::default() }),
@@ -219,12 +222,16 @@ mod tests {
         Pose { translation: Vec3::new(x, 0.0, 0.0), ..Pose::identity() }
     }
 
-    /// A constant error of predictions.
-    fn error(size: f32) -> PredictionError {
-        let mut error = PredictionError::default();
+    /// Constant errors of some predictions.
+    fn errors(sizes: &[f32]) -> PredictionError {
+        let mut errors = PredictionError::default();
         let picture = |value: f32| Image { data: vec![value; 12], ..Image::new(2, 2, 3) };
-        error.add(&picture(0.5 + size), &picture(0.5), None);
-        error
+        sizes.iter().for_each(|size| errors.add(&picture(0.5 + size), &picture(0.5), None));
+        errors
+    }
+
+    fn error(size: f32) -> PredictionError {
+        errors(&[size])
     }
 
     fn kept(places: &[f64], error: PredictionError) -> Vec<bool> {
@@ -261,7 +268,7 @@ mod tests {
     #[test]
     fn random_signs_estimate_what_a_removal_changes() {
         const PICTURES: usize = 400;
-        let (map, tolerance) = (scene(), 0.1);
+        let (map, tolerance) = (scene(), MAX_TOLERANCE);
         let mut explained = ExplainedError::new(&map, error(tolerance));
         (0..PICTURES).for_each(|_| explained.add((&camera(), at(0.0)), None, None));
         for gaussian in [2, 3] {
@@ -280,11 +287,18 @@ mod tests {
         assert!(kept(&[0.0], error(0.03))[0] && kept(&[0.0], error(0.03))[2]);
         // From the side the ball shows behind the screen.
         assert!(kept(&[0.0, 2.4], error(0.03))[1]);
-        // However bad predictions are, the screen is seen by its depth.
-        assert!(kept(&[0.0], error(1e6))[0]);
         // All stay where the error is unknown.
         assert_eq!(kept(&[0.0], PredictionError::default()), [true; 5]);
         assert_eq!(kept(&[0.0], error(f32::NAN)), [true; 5]);
+    }
+
+    #[test]
+    fn a_picture_at_a_wrong_pose_does_not_decide() {
+        let found = errors(&[0.02, 0.4, 0.03, 0.4, 0.025]).deviation();
+        assert!((found - 0.03).abs() < 1e-6, "{found}");
+        let map = scene();
+        let tolerance = |size| ExplainedError::new(&map, error(size)).tolerance;
+        assert!(tolerance(0.03) < tolerance(0.4) && tolerance(0.4) == MAX_TOLERANCE);
     }
 
     #[test]
