@@ -72,6 +72,12 @@ impl MappingContext<'_> {
         self.keyframes.iter().any(|keyframe| keyframe.frame == frame)
     }
 
+    /// Whether a frame is tracked, and neither a keyframe nor held out.
+    pub(super) fn is_between_keyframes(&self, frame: usize) -> bool {
+        let estimate = &self.frames[frame];
+        estimate.tracked && !estimate.held_out && !self.is_keyframe(frame)
+    }
+
     /// Motion of a frame while its shutter is open, with the sampling that its picture asks for.
     pub(super) fn exposure(&self, frame: usize, observation: &Observation) -> Exposure {
         let estimate = &self.frames[frame];

@@ -70,9 +70,11 @@ impl PredictionError {
         self.mean_squares.push((squares / f64::from(values)) as f32);
     }
 
-    /// Root of the median over pictures, because one at a wrong pose is predicted as badly as can be.
-    fn deviation(mut self) -> f32 {
-        median(&mut self.mean_squares).map_or(f32::NAN, f32::sqrt)
+    /// Tolerance of pictures; white is 1. It is the root of the median over pictures, because one at a wrong
+    /// pose is predicted as badly as can be; not a number without a picture.
+    pub(super) fn tolerance(mut self) -> f32 {
+        let deviation = median(&mut self.mean_squares).map_or(f32::NAN, f32::sqrt);
+        deviation.clamp(0.0, MAX_TOLERANCE)
     }
 }
 
@@ -89,11 +91,11 @@ pub(super) struct ExplainedError<'a> {
 }
 
 impl<'a> ExplainedError<'a> {
-    /// Before the first picture, of a map whose predictions have such an error.
-    pub(super) fn new(map: &'a GaussianMap, error: PredictionError) -> Self {
+    /// Before the first picture, with the tolerance of pictures.
+    pub(super) fn new(map: &'a GaussianMap, tolerance: f32) -> Self {
         Self {
             map,
-            tolerance: error.deviation().clamp(0.0, MAX_TOLERANCE),
+            tolerance,
             random: Random::new(SEED),
             // Where opacity is cut, no derivative by it is left.
             rasterizer: Rasterizer::new(RasterSettings { alpha_max: 1.0, ..Default::default() }),
@@ -222,21 +224,17 @@ mod tests {
         Pose { translation: Vec3::new(x, 0.0, 0.0), ..Pose::identity() }
     }
 
-    /// Constant errors of some predictions.
-    fn errors(sizes: &[f32]) -> PredictionError {
-        let mut errors = PredictionError::default();
+    /// The tolerance by constant errors of some predictions.
+    fn tolerance(errors: &[f32]) -> f32 {
+        let mut found = PredictionError::default();
         let picture = |value: f32| Image { data: vec![value; 12], ..Image::new(2, 2, 3) };
-        sizes.iter().for_each(|size| errors.add(&picture(0.5 + size), &picture(0.5), None));
-        errors
+        errors.iter().for_each(|error| found.add(&picture(0.5 + error), &picture(0.5), None));
+        found.tolerance()
     }
 
-    fn error(size: f32) -> PredictionError {
-        errors(&[size])
-    }
-
-    fn kept(places: &[f64], error: PredictionError) -> Vec<bool> {
+    fn kept(places: &[f64], tolerance: f32) -> Vec<bool> {
         let map = scene();
-        let mut explained = ExplainedError::new(&map, error);
+        let mut explained = ExplainedError::new(&map, tolerance);
         places.iter().for_each(|x| explained.add((&camera(), at(*x)), None, None));
         explained.keep()
     }
@@ -269,7 +267,7 @@ mod tests {
     fn random_signs_estimate_what_a_removal_changes() {
         const PICTURES: usize = 400;
         let (map, tolerance) = (scene(), MAX_TOLERANCE);
-        let mut explained = ExplainedError::new(&map, error(tolerance));
+        let mut explained = ExplainedError::new(&map, tolerance);
         (0..PICTURES).for_each(|_| explained.add((&camera(), at(0.0)), None, None));
         for gaussian in [2, 3] {
             let due = squares_without(gaussian, tolerance);
@@ -282,23 +280,21 @@ mod tests {
     #[test]
     fn half_of_what_explains_too_little_is_removed() {
         // The ball behind the screen and the faint one explain next to nothing.
-        let removed = kept(&[0.0], error(0.03)).iter().filter(|keep| !**keep).count();
+        let removed = kept(&[0.0], 0.03).iter().filter(|keep| !**keep).count();
         assert_eq!(removed, 1);
-        assert!(kept(&[0.0], error(0.03))[0] && kept(&[0.0], error(0.03))[2]);
+        assert!(kept(&[0.0], 0.03)[0] && kept(&[0.0], 0.03)[2]);
         // From the side the ball shows behind the screen.
-        assert!(kept(&[0.0, 2.4], error(0.03))[1]);
+        assert!(kept(&[0.0, 2.4], 0.03)[1]);
         // All stay where the error is unknown.
-        assert_eq!(kept(&[0.0], PredictionError::default()), [true; 5]);
-        assert_eq!(kept(&[0.0], error(f32::NAN)), [true; 5]);
+        assert_eq!(kept(&[0.0], tolerance(&[])), [true; 5]);
+        assert_eq!(kept(&[0.0], tolerance(&[f32::NAN])), [true; 5]);
     }
 
     #[test]
     fn a_picture_at_a_wrong_pose_does_not_decide() {
-        let found = errors(&[0.02, 0.4, 0.03, 0.4, 0.025]).deviation();
+        let found = tolerance(&[0.02, 0.4, 0.03, 0.4, 0.025]);
         assert!((found - 0.03).abs() < 1e-6, "{found}");
-        let map = scene();
-        let tolerance = |size| ExplainedError::new(&map, error(size)).tolerance;
-        assert!(tolerance(0.03) < tolerance(0.4) && tolerance(0.4) == MAX_TOLERANCE);
+        assert_eq!(tolerance(&[0.4, 0.3, 0.02]), MAX_TOLERANCE);
     }
 
     #[test]
@@ -306,7 +302,7 @@ mod tests {
         // Narrower than a pixel, and above the opacity at which pictures are cut.
         let mut map = GaussianMap::new(Shape::Anisotropic, ColourActivation::Exponential);
         map.push(ball(0.0625, 4.0, 0.001, 12.0));
-        let mut explained = ExplainedError::new(&map, error(0.03));
+        let mut explained = ExplainedError::new(&map, 0.03);
         explained.add((&camera(), at(0.0)), None, None);
         assert!(explained.sums[0] > LIMIT, "{:?}", explained.sums);
     }
@@ -327,12 +323,13 @@ mod tests {
     fn pixels_outside_of_the_mask_do_not_count() {
         let mut found = PredictionError::default();
         let picture = Image::new(2, 1, 3);
-        let prediction = Image { data: vec![0.1, 9.0, 0.1, 9.0, 0.1, 9.0], ..Image::new(2, 1, 3) };
+        let prediction =
+            Image { data: vec![0.01, 9.0, 0.01, 9.0, 0.01, 9.0], ..Image::new(2, 1, 3) };
         let mask = Image { data: vec![true, false], ..Image::new(2, 1, 1) };
         found.add(&prediction, &picture, Some(&mask));
-        assert!((found.deviation() - 0.1).abs() < 1e-6);
+        assert!((found.tolerance() - 0.01).abs() < 1e-6);
         let map = scene();
-        let mut explained = ExplainedError::new(&map, error(0.03));
+        let mut explained = ExplainedError::new(&map, 0.03);
         let is_right = (0..SIDE * SIDE).map(|pixel| pixel % SIDE >= SIDE / 2);
         let right = Image { data: is_right.collect(), ..Image::new(SIDE, SIDE, 1) };
         explained.add((&camera(), at(0.0)), None, Some(&right));

@@ -120,24 +120,23 @@ impl GaussianMapper {
             let prediction = self.predict(context, (keyframe, &observation), curve.as_ref());
             error.add(&prediction, &observation.colour, context.valid_mask);
         }
-        let is_between = |place: &usize| {
-            let frame = &context.frames[*place];
-            frame.tracked && !frame.held_out && !context.is_keyframe(*place)
-        };
+        let is_between = |place: &usize| context.is_between_keyframes(*place);
         let between = Vec::from_iter((0..context.frames.len()).filter(is_between));
         let keyframes = context.keyframes.iter().map(|keyframe| keyframe.frame);
         let others = spread_frames(&between, context.keyframes.len()).copied();
-        let mut explained = ExplainedError::new(&self.current.map, error);
-        for place in keyframes.chain(others).take_while(|_| is_running()) {
-            let curve = response_curve(context, place);
-            let tone = curve.as_ref().map(|curve| context.formation(place, curve));
-            let view = (context.camera, context.frames[place].middle());
-            explained.add(view, tone.as_ref(), context.valid_mask);
-        }
-        // What not all pictures were asked about may explain the others.
-        if is_running() {
-            let keep = explained.keep();
-            self.retain(&keep);
+        let (places, tolerance) = (Vec::from_iter(keyframes.chain(others)), error.tolerance());
+        for _ in 0..PRUNE_PASSES {
+            let mut explained = ExplainedError::new(&self.current.map, tolerance);
+            for &place in places.iter().take_while(|_| is_running()) {
+                let curve = response_curve(context, place);
+                let tone = curve.as_ref().map(|curve| context.formation(place, curve));
+                let view = (context.camera, context.frames[place].middle());
+                explained.add(view, tone.as_ref(), context.valid_mask);
+            }
+            // What not all pictures were asked about may explain the others.
+            if is_running() {
+                self.retain(&explained.keep());
+            }
         }
     }
 
@@ -402,7 +401,7 @@ impl Mapper for GaussianMapper {
     ) -> bool {
         let splits = 3 * steps.start < 2 * total;
         if !steps.is_empty() {
-            (0..PRUNE_PASSES).for_each(|_| self.prune_by_explained_error(context));
+            self.prune_by_explained_error(context);
         }
         if splits && self.current.map.shape == Shape::Anisotropic {
             let mut evidence = self.detail_evidence(context);
