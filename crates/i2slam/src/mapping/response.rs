@@ -165,20 +165,21 @@ fn next_response(
     gauge_frame: usize,
 ) -> Option<CameraResponse<f32>> {
     let found = points.estimate(response.start(), gauge_frame);
-    let by_blur = shape_by_blur(blurred, response, found.as_ref(), lens);
-    let by_points = || found.as_ref().and_then(|found| points.better_response(response, found));
-    let shape = by_blur.or_else(by_points);
     let former = response.curve();
-    let power = power_by_blur(blurred, shape.as_ref().unwrap_or(response), (lens, &former));
-    if shape.is_none() && power.is_none() {
-        return None;
-    }
+    // Motions that tell no power, or one that is refused, do not decide on the shape either.
+    let by_blur = shape_by_blur(blurred, response, found.as_ref(), lens).and_then(|shape| {
+        let power = power_by_blur(blurred, &shape, (lens, &former))?;
+        Some((shape, power))
+    });
+    let by_points = || found.as_ref().and_then(|found| points.better_response(response, found));
+    let (shape, power) = match by_blur {
+        Some((shape, power)) => (shape, Some(power)),
+        None => (by_points()?, None),
+    };
     // A power that was found before stays where blur tells none this time.
-    let kept =
-        |shape: &CameraResponse<f32>| log_range(&former, TIED) / log_range(&shape.curve(), TIED);
-    let has_power = context.has_found_response;
-    let power = power.or_else(|| shape.as_ref().filter(|_| has_power).map(kept));
-    let next = shape.as_ref().unwrap_or(response).raised(power.unwrap_or(1.0));
+    let kept = log_range(&former, TIED) / log_range(&shape.curve(), TIED);
+    let power = power.or_else(|| context.has_found_response.then_some(kept));
+    let next = shape.raised(power.unwrap_or(1.0));
     is_plausible(&next).then_some(next)
 }
 
