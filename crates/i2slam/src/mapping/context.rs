@@ -72,7 +72,7 @@ impl MappingContext<'_> {
         self.keyframes.iter().any(|keyframe| keyframe.frame == frame)
     }
 
-    /// Whether a frame is tracked, and neither a keyframe nor held out.
+    /// True for a tracked frame that is neither a keyframe nor held out.
     pub(super) fn is_between_keyframes(&self, frame: usize) -> bool {
         let estimate = &self.frames[frame];
         estimate.tracked && !estimate.held_out && !self.is_keyframe(frame)
