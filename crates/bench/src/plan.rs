@@ -175,8 +175,8 @@ fn line(text: &str, place: usize, key: Option<&str>) -> Option<usize> {
 /// The message without its place: lines of the overrides are not lines of the suite.
 fn reason(error: &ConfigError) -> String {
     match error {
-        ConfigError::UnknownKey { key, section, known, .. } => {
-            format!("no setting is called `{key}`: `{section}` has {known}")
+        ConfigError::UnknownKey { key, hint, section, known, .. } => {
+            format!("no setting is called `{key}`{hint}: `{section}` has {known}")
         }
         ConfigError::RemovedKey { key, .. } => {
             format!("{key} is no longer a setting: the preset decides it")

@@ -44,8 +44,7 @@ pub(crate) struct Input {
     #[arg(long, value_name = "FILE.json", value_parser = existing_path())]
     pub(crate) camera: Option<PathBuf>,
     /// Camera: a file (camera.json, transforms.json, COLMAP's cameras.txt, a line `fx fy cx cy`),
-    /// or four numbers FX FY CX CY without distortion [px], pixel centres at integers; stands after
-    /// DATASET
+    /// or four numbers FX FY CX CY without distortion [px], pixel centres at integers
     #[arg(
         long,
         value_name = "FILE or NUMBERS",
@@ -221,7 +220,7 @@ fn parse_intrinsics(words: &[String]) -> Result<(Option<PathBuf>, Option<[f64; 4
         },
         ([file], None) if Path::new(file).exists() => Ok((Some(file.into()), None)),
         ([_], None) => Err(refuse("no such file")),
-        _ => Err(refuse("not a file and not four numbers (the sequence stands before the flags)")),
+        _ => Err(refuse("not a file and not four numbers")),
     }
 }
 

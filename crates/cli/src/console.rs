@@ -140,13 +140,14 @@ fn without_controls(text: &str) -> Cow<'_, str> {
 
 /// Parses the arguments of the program; wrong ones end it with a message in which they are escaped.
 pub(crate) fn parse_arguments<T: Parser>() -> T {
-    T::try_parse().unwrap_or_else(|error| {
+    let arguments = || with_attached_files(std::env::args_os());
+    T::try_parse_from(arguments()).unwrap_or_else(|error| {
         let escaped = |argument: OsString| {
             let text = argument.to_string_lossy().replace('\n', "\\n");
             OsString::from(without_controls(&text).into_owned())
         };
         // The message quotes arguments, so that it is made of those that can be printed.
-        match T::try_parse_from(std::env::args_os().map(escaped)) {
+        match T::try_parse_from(arguments().into_iter().map(escaped)) {
             Err(printable) => printable.exit(),
             Ok(_) => {
                 let text = error.to_string();
@@ -155,6 +156,26 @@ pub(crate) fn parse_arguments<T: Parser>() -> T {
             }
         }
     })
+}
+
+/// Flag whose value is a file or several numbers.
+const FILE_OR_NUMBERS: &str = "--intrinsics";
+
+/// The arguments with a file attached to its flag by `=`: of several values that a flag may have, the parser
+/// would take the sequence after the file as the second.
+fn with_attached_files(arguments: impl Iterator<Item = OsString>) -> Vec<OsString> {
+    let mut all: Vec<OsString> = Vec::new();
+    for argument in arguments {
+        let is_number = argument.to_str().is_some_and(|text| text.parse::<f64>().is_ok());
+        match all.last_mut() {
+            Some(flag) if *flag == FILE_OR_NUMBERS && !is_number => {
+                flag.push("=");
+                flag.push(argument);
+            }
+            _ => all.push(argument),
+        }
+    }
+    all
 }
 
 /// Count and noun: `1 frame`, `3 frames`.
@@ -168,6 +189,21 @@ mod tests {
 
     fn printed(line: &str) -> String {
         without_controls(&one_message(line)).into_owned()
+    }
+
+    #[test]
+    fn a_file_of_intrinsics_does_not_take_the_sequence_as_well() {
+        let attached = |line: &str| {
+            let all = with_attached_files(line.split(' ').map(OsString::from));
+            all.join(std::ffi::OsStr::new(" ")).to_string_lossy().into_owned()
+        };
+        let file = "run --intrinsics camera.json video.mp4";
+        assert_eq!(attached(file), "run --intrinsics=camera.json video.mp4");
+        for unchanged in
+            ["run --intrinsics 500 500 -3.5 240 video.mp4", "run video.mp4 --intrinsics"]
+        {
+            assert_eq!(attached(unchanged), unchanged);
+        }
     }
 
     #[test]

@@ -21,7 +21,7 @@ pub use error::{StorageError, reason};
 pub use file::{create, write_file};
 pub use lock::FolderLock;
 pub use manifest::{FileRecord, MANIFEST, Manifest};
-pub use message::{line_at, listed, shortened};
+pub use message::{line_at, listed, nearest_key, shortened};
 pub use output::{Committed, OutputFolder};
 pub use read::{MAX_TEXT, open, read, read_range, read_text, read_text_up_to};
 pub use scratch::{ScratchStore, Storable, Stored, append_floats, floats};

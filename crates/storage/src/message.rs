@@ -33,9 +33,40 @@ pub fn listed(names: &[impl AsRef<str>]) -> String {
     }
 }
 
+/// Similarity by Jaro and Winkler of two names, 0 to 1, from which one may be meant by the other.
+const MIN_SIMILARITY: f64 = 0.85;
+/// Similarity that the same section counts as.
+const SAME_SECTION: f64 = 0.01;
+
+/// Of known keys, names behind dots, the one that an unknown key may mean: that of the same name in another
+/// section, or the most similar name. `None` where none is alike.
+pub fn nearest_key<'a>(key: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
+    let parts = |key: &'a str| key.rsplit_once('.').unwrap_or(("", key));
+    let (section, name) = key.rsplit_once('.').unwrap_or(("", key));
+    let similarity = |known: &'a str| {
+        let (of_section, of_name) = parts(known);
+        let similarity = strsim::jaro_winkler(name, of_name);
+        let in_section = if of_section == section { SAME_SECTION } else { 0.0 };
+        (similarity >= MIN_SIMILARITY).then_some((similarity + in_section, known))
+    };
+    let alike = known.into_iter().filter_map(similarity);
+    alike.max_by(|(a, _), (b, _)| a.total_cmp(b)).map(|(_, known)| known)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn an_unknown_key_may_be_of_another_section_or_misspelt() {
+        let known = ["seed", "camera.frames", "camera.fps", "mapping.iterations", "map.iterations"];
+        let nearest = |key| nearest_key(key, known);
+        assert_eq!(nearest("frames"), Some("camera.frames"));
+        assert_eq!(nearest("mapping.iteration"), Some("mapping.iterations"));
+        assert_eq!(nearest("map.itertions"), Some("map.iterations"));
+        assert_eq!(nearest("camera.vignette"), None);
+        assert_eq!(nearest_key("frames", []), None);
+    }
 
     #[test]
     fn many_names_are_counted() {

@@ -29,11 +29,10 @@ use super::{MOMENTS, MeanLight, PairTerms, Products, Term, UNKNOWNS, deviation, 
 use i2slam_compute::{SIGMA_PER_MEDIAN, median};
 use rayon::prelude::*;
 
-/// Steps of Gauss-Newton at most, at least, as motions need some where `p` does not change, and the change of
-/// `p` below which one is the last.
+/// Steps of Gauss-Newton at most, and the change of `p` and of all motions \[exposures\] below which one is
+/// the last.
 const STEPS: usize = 15;
-const MIN_STEPS: usize = 4;
-const MIN_STEP: f64 = 3e-4;
+const MIN_STEP: f64 = 1e-3;
 /// Bounds of the power: beyond, the geometry is wrong, not the response.
 const BOUNDS: [f64; 2] = [0.4, 2.5];
 /// Fewest pixels, and blurred pictures: of fewer the scatter says nothing.
@@ -67,15 +66,35 @@ pub struct BlurredPicture {
 }
 
 /// A power of linear values, found from blur.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct PowerEstimate {
     /// `p`.
     pub power: f64,
     /// Standard deviation of `p` by the scatter between blurred pictures.
     pub deviation: f64,
-    /// Robust deviation of what is not explained, in picture values: the smaller, the nearer the response is
-    /// to the true one, up to its power.
-    pub residual: f64,
+    /// Robust deviation of the residuals of each picture that counts, in picture values: the smaller, the
+    /// nearer the response is to the true one, up to its power.
+    pub residual_deviations: Vec<f64>,
+}
+
+impl PowerEstimate {
+    /// Mean over pictures of the logarithm of the residuals' deviation over that of another response, and its
+    /// standard deviation by the scatter between pictures.
+    #[must_use]
+    pub fn log_residual_ratio(&self, other: &Self) -> [f64; 2] {
+        let pairs = self.residual_deviations.iter().zip(&other.residual_deviations);
+        let ratios: Vec<f64> = pairs.map(|(own, other)| (own / other).ln()).collect();
+        let count = ratios.len() as f64;
+        let mean = ratios.iter().sum::<f64>() / count;
+        let scatter = ratios.iter().map(|ratio| (ratio - mean).powi(2)).sum::<f64>();
+        [mean, (student_variance(ratios.len()) * scatter).sqrt() / count]
+    }
+}
+
+/// Factor of the variance of a sum of terms over the sum of their squared deviations from the mean: that of
+/// Student's distribution, as the scatter is that of few.
+fn student_variance(terms: usize) -> f64 {
+    terms as f64 / (terms as f64 - 3.0)
 }
 
 impl BlurredPixel {
@@ -107,10 +126,10 @@ pub fn estimate_power(pictures: &[BlurredPicture]) -> Option<PowerEstimate> {
     if pixels < MIN_PIXELS || pictures < MIN_PICTURES {
         return None;
     }
-    let mut estimate = PowerEstimate { power: 1.0, deviation: f64::INFINITY, residual: 0.0 };
+    let (mut found, mut deviation) = (1.0, f64::INFINITY);
     let mut motions = vec![[Motion::default(); SHARP_PICTURES]; pictures];
-    for number in 1..=STEPS {
-        let products = products_of_pictures(&used, estimate.power, &motions)?;
+    for _ in 0..STEPS {
+        let products = products_of_pictures(&used, found, &motions)?;
         let of_picture = |pair: &[Products; SHARP_PICTURES]| {
             let [first, second] = pair.each_ref().map(Products::reduced);
             [first[0] + second[0], first[1] + second[1]]
@@ -123,21 +142,21 @@ pub fn estimate_power(pictures: &[BlurredPicture]) -> Option<PowerEstimate> {
         }
         // What each picture asks for beyond the common step.
         let scatter = sums.iter().map(|sums| (sums[0] - step * sums[1]).powi(2)).sum::<f64>();
-        // Student's distribution, as the scatter is that of few.
-        let freedom = pictures as f64 / (pictures as f64 - 3.0);
-        estimate.deviation = (freedom * scatter).sqrt() / curvature;
-        let power = (estimate.power + step).clamp(BOUNDS[0], BOUNDS[1]);
-        let taken = power - estimate.power;
-        estimate.power = power;
+        deviation = (student_variance(pictures) * scatter).sqrt() / curvature;
+        let power = (found + step).clamp(BOUNDS[0], BOUNDS[1]);
+        let taken = power - found;
+        found = power;
         let pairs = motions.iter_mut().flatten().zip(products.iter().flatten());
-        pairs.for_each(|(motion, products)| motion.step(products, taken));
-        if number >= MIN_STEPS && taken.abs() < MIN_STEP {
+        let moved = pairs.map(|(motion, products)| motion.step(products, taken));
+        // The residuals of two responses are compared: their motions have to have converged, too.
+        if moved.fold(taken.abs(), f64::max) < MIN_STEP {
             break;
         }
     }
-    estimate.residual = residual(&used, estimate.power, &motions)?;
-    let is_inside = BOUNDS[0] < estimate.power && estimate.power < BOUNDS[1];
-    (is_inside && estimate.deviation.is_finite()).then_some(estimate)
+    let is_inside = BOUNDS[0] < found && found < BOUNDS[1];
+    let residual_deviations = residual_deviations(&used, found, &motions)?;
+    let estimate = PowerEstimate { power: found, deviation, residual_deviations };
+    (is_inside && deviation.is_finite()).then_some(estimate)
 }
 
 /// Errors of the exposure of a blurred picture, in exposures.
@@ -148,10 +167,13 @@ struct Motion {
 }
 
 impl Motion {
-    fn step(&mut self, products: &Products, power_step: f64) {
+    /// Takes a step and returns the largest change.
+    fn step(&mut self, products: &Products, power_step: f64) -> f64 {
+        let before = *self;
         let [_, length, time] = products.steps(power_step);
         self.length = (self.length + length).clamp(-MAX_MOTION, MAX_MOTION);
         self.time = (self.time + time).clamp(-MAX_MOTION, MAX_MOTION);
+        (self.length - before.length).abs().max((self.time - before.time).abs())
     }
 
     fn steps(&self) -> [f64; UNKNOWNS] {
@@ -180,26 +202,26 @@ fn terms_of_pictures(
     pictures.par_iter().zip(motions).map(terms).collect()
 }
 
-/// Robust deviation of the residuals, in picture values; `None` of none.
-fn residual(
+/// Robust deviation of the residuals of each picture, `1.4826 median |r - median r| / (d ln x/dy)` with the
+/// inner median over the channel of a pair, in picture values; `None` where a picture has none.
+fn residual_deviations(
     pictures: &[&BlurredPicture],
     power: f64,
     motions: &[[Motion; SHARP_PICTURES]],
-) -> Option<f64> {
+) -> Option<Vec<f64>> {
     let terms = terms_of_pictures(pictures, power, motions);
-    let mut all = Vec::new();
-    for (picture, pairs) in pictures.iter().zip(&terms) {
-        for pair in pairs {
-            for (pixels, terms) in picture.channels.iter().zip(pair) {
-                let centre = median_residual(terms);
-                let in_values = |(pixel, term): (&BlurredPixel, &Term)| {
-                    (term.residual - centre).abs() / pixel.slope
-                };
-                all.extend(pixels.iter().zip(terms).map(in_values));
-            }
+    let of_picture = |(picture, pairs): (&&BlurredPicture, &[PairTerms; SHARP_PICTURES])| {
+        let mut residuals = Vec::new();
+        for (pixels, terms) in pairs.iter().flat_map(|pair| picture.channels.iter().zip(pair)) {
+            let centre = median_residual(terms);
+            let in_values = |(pixel, term): (&BlurredPixel, &Term)| {
+                (term.residual - centre).abs() / pixel.slope
+            };
+            residuals.extend(pixels.iter().zip(terms).map(in_values));
         }
-    }
-    Some(SIGMA_PER_MEDIAN * median(&mut all)?)
+        Some(SIGMA_PER_MEDIAN * median(&mut residuals)?)
+    };
+    pictures.iter().zip(&terms).map(of_picture).collect()
 }
 
 fn products_of_pictures(
@@ -272,7 +294,7 @@ mod tests {
     /// A bent response leaves more unexplained, whatever its power.
     #[test]
     fn the_residual_tells_the_shape_of_the_response() {
-        let residual = |bend: f64| {
+        let estimate = |bend: f64| {
             let mut pictures = pictures(1.0, 1.0, 6);
             let pixels = pictures.iter_mut().flat_map(|picture| picture.channels.iter_mut());
             for pixel in pixels.flatten() {
@@ -281,10 +303,13 @@ mod tests {
                 pixel.blurred = pixel.blurred.map(|logs| logs.map(bent));
                 pixel.sharp = pixel.sharp.map(|logs| logs.map(bent));
             }
-            estimate_power(&pictures).expect("blur").residual
+            estimate_power(&pictures).expect("blur")
         };
-        let [true_one, less, more] = [0.0, -0.1, 0.1].map(residual);
-        assert!(true_one < 0.97 * less && true_one < 0.97 * more, "{true_one} {less} {more}");
+        let [known, less, more] = [0.0, -0.1, 0.1].map(estimate);
+        for bent in [less, more] {
+            let [log_ratio, deviation] = known.log_residual_ratio(&bent);
+            assert!(log_ratio < -0.03 && log_ratio < -2.0 * deviation, "{known:?} {bent:?}");
+        }
     }
 
     #[test]

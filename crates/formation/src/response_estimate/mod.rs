@@ -57,6 +57,8 @@ const TIE_WEIGHT: f64 = 1e4;
 const LOSS_SCALE: f64 = 3.0;
 /// Fewest points.
 const MIN_POINTS: usize = 500;
+/// Least logarithmic slope of a response: where it is steeper than that, noise of pictures would weigh nothing.
+const MIN_LOG_SLOPE: f64 = 1e-3;
 
 /// One surface point in two pictures, in one channel.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -70,10 +72,11 @@ pub struct ValuePair {
 }
 
 /// Robust deviation of the residuals of groups of points that share a gain, taken at their picture values,
-/// by a curve `y ↦ (h, h')`, times the root of the geometric mean of `D² / ((h'σ/y)₁ (h'σ/y)₂)`; `None` without
-/// points.
+/// by a curve `y ↦ (h, h')` and the power of the vignetting, times the root of the geometric mean of
+/// `D² / ((h'σ/y)₁ (h'σ/y)₂)`; `None` without points.
 fn robust_deviation(
     groups: &[Vec<ValuePair>],
+    vignetting_power: f64,
     curve: impl Fn(f64) -> (f64, f64) + Sync,
 ) -> Option<f64> {
     let of_group = |group: &Vec<ValuePair>| {
@@ -81,7 +84,8 @@ fn robust_deviation(
             let [(h1, s1), (h2, s2)] = point.values.map(&curve);
             let by_log = |k: usize, s: f64| s * point.deviations[k] / point.values[k];
             let (a, b) = (by_log(0, s1), by_log(1, s2));
-            (h1 - h2 - point.log_vignetting, a.hypot(b), ((a * a + b * b) / (a * b)).ln())
+            let residual = h1 - h2 - vignetting_power * point.log_vignetting;
+            (residual, a.hypot(b), ((a * a + b * b) / (a * b)).ln())
         });
         let residuals: Vec<(f64, f64, f64)> = residuals.collect();
         let mut differences: Vec<f64> = residuals.iter().map(|(r, _, _)| *r).collect();
@@ -95,25 +99,24 @@ fn robust_deviation(
     median.map(|median| SIGMA_PER_MEDIAN * median * (0.5 * log).exp())
 }
 
-/// Robust deviation of the residuals by the curve that channel `channel` of a response has.
+/// Robust deviation of the residuals by the curve that channel `channel` of a response has, and the power `q`
+/// of the vignetting behind it. A power of the response together with `q` changes nothing.
 pub fn deviation_by_response(
     groups: &[Vec<ValuePair>],
     (response, channel): (&ResponseCurve<f32>, usize),
+    vignetting_power: f64,
 ) -> Option<f64> {
-    // Over several nodes: neighbouring ones are not smooth.
-    const HALF: f64 = 0.02;
-    let log = |y: f64| f64::from(response.inverse(channel, y as f32)).max(1e-12).ln();
     let curve = |y: f64| {
-        let (left, right) = ((y - HALF).max(1e-3), (y + HALF).min(1.0));
-        (log(y), ((log(right) - log(left)) / (right.ln() - left.ln())).max(1e-3))
+        let slope = y * response.log_linear_slope(channel, y);
+        (response.log_linear(channel, y), slope.max(MIN_LOG_SLOPE))
     };
-    robust_deviation(groups, curve)
+    robust_deviation(groups, vignetting_power, curve)
 }
 
 /// Robust deviation of the residuals by a curve.
 #[cfg(test)]
 fn deviation_by_curve(groups: &[Vec<ValuePair>], response: &LogResponse) -> Option<f64> {
-    robust_deviation(groups, |y| (response.log_linear(y), response.slope(y)))
+    robust_deviation(groups, 1.0, |y| (response.log_linear(y), response.slope(y)))
 }
 
 /// A response that was found from points.
@@ -126,9 +129,9 @@ pub struct ResponseEstimate {
 }
 
 impl ResponseEstimate {
-    /// The response on the way from the start curve, 0, to that of the points, 1.
+    /// The response between the start curve, at a share of 0, and that of the points, at 1.
     #[must_use]
-    pub fn part(&self, share: f64, start: StartCurve) -> LogResponse {
+    pub fn interpolated(&self, share: f64, start: StartCurve) -> LogResponse {
         LogResponse::new(&log_slopes(start), self.response.offsets().map(|d| share * d))
     }
 }

@@ -5,6 +5,11 @@ use super::{Even, Grid, Locate};
 use i2slam_geometry::Real;
 use std::sync::Arc;
 
+/// Half of the range of picture values that a slope is taken over, and the darkest one of it: that of 0 has no
+/// logarithm.
+const SLOPE_HALF_WIDTH: f64 = 0.02;
+const MIN_SLOPE_VALUE: f64 = 1e-3;
+
 /// The straight piece between two nodes, everything a pixel needs in one place.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Segment<T> {
@@ -118,6 +123,20 @@ impl<T: Real> ResponseCurve<T> {
         let share = (y - values[left]) / (values[right] - values[left]);
         positions[left] + (positions[right] - positions[left]) * share.min(T::one())
     }
+
+    /// Logarithm of the linear value of the picture value `y`; finite for all of [0, 1].
+    pub fn log_linear(&self, channel: usize, y: f64) -> f64 {
+        self.inverse(channel, T::of(y)).max(T::min_positive_value()).to_f64().ln()
+    }
+
+    /// Slope of [`log_linear`](Self::log_linear) between picture values 0.02 below and above `y`: that between
+    /// neighbouring nodes is not smooth.
+    pub fn log_linear_slope(&self, channel: usize, y: f64) -> f64 {
+        let (low, high) =
+            ((y - SLOPE_HALF_WIDTH).max(MIN_SLOPE_VALUE), (y + SLOPE_HALF_WIDTH).min(1.0));
+        (self.log_linear(channel, high) - self.log_linear(channel, low)) / (high - low)
+    }
+
     pub(crate) fn segments(&self, channel: usize) -> &[Segment<T>] {
         &self.segments[self.curve_of(channel)]
     }

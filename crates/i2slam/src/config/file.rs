@@ -1,7 +1,7 @@
 //! Settings as TOML files: reading, writing, and the help that printed presets carry.
 
 use super::*;
-use i2slam_storage::{line_at, shortened};
+use i2slam_storage::{line_at, nearest_key, shortened};
 use std::path::Path;
 use toml::de::{DeTable, DeValue};
 use toml::{Table, Value};
@@ -55,7 +55,7 @@ impl Config {
         let base = Table::try_from(base?);
         let base = base.map_err(|e| source.malformed(&e.to_string()))?;
         let mut table = base.clone();
-        source.merge(&mut table, &changes, "")?;
+        source.merge(&mut table, &changes, "").map_err(|error| with_hint(error, &base))?;
         let config: Result<Self, _> = table.try_into();
         let mut config = config.map_err(|e| source.first_wrong(&base, &changes, e.message()))?;
         config.parameters = Parameters::of_preset(&name);
@@ -250,6 +250,7 @@ impl Source<'_> {
                         origin: self.origin.to_owned(),
                         line: self.line(&key).unwrap_or(1),
                         key: shortened(&key),
+                        hint: Box::default(),
                         section: if path.is_empty() { "the top level" } else { path }.to_owned(),
                         known: known.join(", "),
                     });
@@ -279,6 +280,18 @@ impl Source<'_> {
         }
         self.malformed(otherwise)
     }
+}
+
+/// The error with the setting that an unknown key may mean.
+fn with_hint(mut error: ConfigError, base: &Table) -> ConfigError {
+    if let ConfigError::UnknownKey { key, hint, .. } = &mut error {
+        let known = leaves(base, "").into_iter().map(|(known, _)| known);
+        let known: Vec<String> = known.chain(base.keys().cloned()).collect();
+        let nearest = nearest_key(key, known.iter().map(String::as_str));
+        *hint =
+            nearest.map(|known| format!(", did you mean `{known}`?").into()).unwrap_or_default();
+    }
+    error
 }
 
 /// Names types in a message of the parser as a user would.

@@ -387,7 +387,7 @@ pub enum ConfigError {
         message: String,
     },
     /// A key that no setting has.
-    #[error("{origin}, line {line}: no setting is called `{key}`: `{section}` has {known}")]
+    #[error("{origin}, line {line}: no setting is called `{key}`{hint}: `{section}` has {known}")]
     UnknownKey {
         /// File name.
         origin: String,
@@ -395,6 +395,8 @@ pub enum ConfigError {
         line: usize,
         /// The key with its section.
         key: String,
+        /// `, did you mean ...?` where another setting has a name that is alike.
+        hint: Box<str>,
         /// Section it stands in.
         section: String,
         /// The keys of that section.

@@ -5,14 +5,14 @@
 
 use super::context::MappingContext;
 use super::keyframe::Keyframe;
-use super::log_light::{RaisedVignetting, log_lights};
+use super::log_light::{FoundVignetting, LogLight};
 use super::mapper::Mapper;
 use super::surface_pairs::spread;
 use super::view::{MomentSamples, View, place_within, surface_of};
 use crate::objective::blur_length;
 use crate::reconstruction::FrameEstimate;
 use i2slam_formation::blur_estimate::{PARTNERS, SharedPoint, SurfacePoint, squared_length};
-use i2slam_formation::{CentreVelocity, ResponseCurve, ShutterPoses, Vignetting};
+use i2slam_formation::{CentreVelocity, ShutterPoses, Vignetting};
 use i2slam_geometry::{Camera, Image, Tangent};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -238,7 +238,9 @@ impl MotionStart {
     ) -> Option<f64> {
         let own = own.with_motion(self.velocity, self.readout);
         let (camera, valid_mask) = (context.camera, context.valid_mask);
-        let pictures = Pictures { camera, valid_mask, curve: context.responses[0].curve(), lens };
+        let curve = context.responses[0].curve();
+        let light = LogLight::new(&curve, FoundVignetting::new(lens, &curve));
+        let pictures = Pictures { camera, valid_mask, light };
         let (length, deviation) = pictures.relative_length(own, &others)?;
         let blur = self.blur * length;
         let is_possible = self.path_blur.is_none_or(|path| blur <= MAX_OPEN_SHARE * path);
@@ -259,8 +261,7 @@ impl MotionStart {
 struct Pictures<'a> {
     camera: &'a Camera<f64>,
     valid_mask: Option<&'a Image<bool>>,
-    curve: ResponseCurve<f32>,
-    lens: Vignetting<f32>,
+    light: LogLight<'a>,
 }
 
 impl Pictures<'_> {
@@ -307,9 +308,9 @@ impl Pictures<'_> {
                 continue;
             };
             for (channel, point) in point.iter_mut().enumerate() {
-                let lens = RaisedVignetting { found: self.lens, power: 1.0 };
-                let logs = |samples| log_lights(&self.curve, lens, samples, channel);
-                let both = logs(&in_own).zip(logs(&in_other));
+                let [own, other] =
+                    [in_own, in_other].map(|samples| self.light.at_moments(&samples, channel));
+                let both = own.zip(other);
                 point[partner] = both.map(|(own, other)| SharedPoint { own, other });
             }
         }
@@ -354,8 +355,9 @@ mod tests {
 
     #[test]
     fn pictures_tell_by_how_much_a_motion_is_too_short() {
-        let (camera, lens) = (&CAMERA, Vignetting::default());
-        let pictures = Pictures { camera, valid_mask: None, curve: curve(), lens };
+        let curve = curve();
+        let light = LogLight::new(&curve, FoundVignetting::new(Vignetting::default(), &curve));
+        let pictures = Pictures { camera: &CAMERA, valid_mask: None, light };
         let others = [view(1, 0.0), view(2, 0.2), view(3, 0.0)];
         for assumed in [0.25, 0.6, 1.3] {
             let own = view(0, 1.0).scaled(assumed);

@@ -1,6 +1,6 @@
 //! Exposure and white balance of frames from surface points that keyframes see, for a given response.
 //!
-//! Two keyframes differ in a channel by the gain `g = h(y₁) - h(y₂) - ln v(r₁) + ln v(r₂)` of their common
+//! Two keyframes differ in a channel by the gain `g = h(y₁) - h(y₂) - q (ln v(r₁) - ln v(r₂))` of their common
 //! points ([`i2slam_formation::response_estimate`]). The gains `G` of all compared keyframes are the
 //! minimum of
 //!
@@ -30,16 +30,19 @@ pub(super) struct ChannelPairs<'a> {
 }
 
 /// Logarithmic gains of frames that have common points, in one channel. `known` gives what is known of a
-/// frame so far, `log_linear` the logarithm of the linear value of a picture value.
+/// frame so far, `log_linear` the logarithm of the linear value of a picture value; the vignetting is raised to
+/// a power.
 pub(super) fn solve_gains(
     pairs: &[ChannelPairs<'_>],
-    log_linear: impl Fn(f64) -> f64,
+    (log_linear, vignetting_power): (impl Fn(f64) -> f64, f64),
     gauge_frame: usize,
     known: impl Fn(usize) -> f64,
 ) -> BTreeMap<usize, f64> {
     let difference = |pair: &ChannelPairs<'_>| {
-        let of_point =
-            |p: &ValuePair| log_linear(p.values[0]) - log_linear(p.values[1]) - p.log_vignetting;
+        let of_point = |point: &ValuePair| {
+            let [first, second] = point.values.map(&log_linear);
+            first - second - vignetting_power * point.log_vignetting
+        };
         Difference::median(pair.frames, pair.points.iter().map(of_point).collect())
     };
     let differences: Vec<Difference> = pairs.iter().filter_map(difference).collect();
@@ -170,16 +173,16 @@ mod tests {
             .map(|(&frames, points)| ChannelPairs { frames, points })
             .collect();
         let log = |value: f64| 2.0 * value.ln();
-        let found = solve_gains(&pairs, log, 0, |_| 0.5);
+        let found = solve_gains(&pairs, (log, 1.0), 0, |_| 0.5);
         for (frame, gain) in &found {
             // The gauge frame keeps what is known of it; of others this counts as fifty points of 4000.
             let due = GAINS[*frame] + 0.5;
             assert!((gain - due).abs() < 0.06, "{frame}: {gain} {due}");
         }
         pairs[3].points = &[];
-        let found = solve_gains(&pairs, log, 0, |_| 0.0);
+        let found = solve_gains(&pairs, (log, 1.0), 0, |_| 0.0);
         assert!(!found.contains_key(&3) && (found[&1] - GAINS[1]).abs() < 0.06, "{found:?}");
-        assert_eq!(solve_gains(&[], log, 0, |_| 0.0), BTreeMap::new());
+        assert_eq!(solve_gains(&[], (log, 1.0), 0, |_| 0.0), BTreeMap::new());
     }
 
     #[test]

@@ -10,62 +10,61 @@ const BLUR_COMPARED: [f32; 2] = [0.06, 0.97];
 
 /// Distance of the logarithms of the linear values of two picture values, the mean over channels.
 pub(super) fn log_range(curve: &ResponseCurve<f32>, [low, high]: [f64; 2]) -> f64 {
-    let range = |channel| log_linear(curve, channel, high) - log_linear(curve, channel, low);
+    let range = |channel| curve.log_linear(channel, high) - curve.log_linear(channel, low);
     (0..3).map(range).sum::<f64>() / 3.0
 }
 
-/// Vignetting, raised to a power: that which was found has the power of the response that it was found with.
+/// Vignetting as it was found, which has the power of the response that it was found with.
 #[derive(Clone, Copy)]
-pub(super) struct RaisedVignetting {
-    pub(super) found: Vignetting<f32>,
-    pub(super) power: f64,
+pub(super) struct FoundVignetting {
+    lens: Vignetting<f32>,
+    /// [`log_range`] of that response.
+    log_range: f64,
 }
 
-impl RaisedVignetting {
-    /// That behind a response, found with another one.
-    pub(super) fn new(
-        found: Vignetting<f32>,
-        found_with: &ResponseCurve<f32>,
-        curve: &ResponseCurve<f32>,
-    ) -> Self {
-        Self { found, power: log_range(curve, TIED) / log_range(found_with, TIED) }
+impl FoundVignetting {
+    pub(super) fn new(lens: Vignetting<f32>, found_with: &ResponseCurve<f32>) -> Self {
+        Self { lens, log_range: log_range(found_with, TIED) }
+    }
+
+    /// Logarithm of the light at a squared radius over that at the centre.
+    pub(super) fn log_at(&self, squared_radius: f64) -> f64 {
+        f64::from(self.lens.at(squared_radius as f32)).ln()
+    }
+
+    /// Power to which it is to be raised behind another response.
+    pub(super) fn power(&self, curve: &ResponseCurve<f32>) -> f64 {
+        log_range(curve, TIED) / self.log_range
     }
 }
 
-/// [`log_light`] at the moments of an exposure; `None` where one is badly exposed.
-pub(super) fn log_lights(
-    curve: &ResponseCurve<f32>,
-    lens: RaisedVignetting,
-    samples: &[PictureSample; MOMENTS],
-    channel: usize,
-) -> Option<[f64; MOMENTS]> {
-    let mut logs = [0.0; MOMENTS];
-    for (log, sample) in logs.iter_mut().zip(samples) {
-        *log = log_light(curve, lens, sample, channel)?;
+/// Logarithms of the light that samples of pictures stand for.
+pub(super) struct LogLight<'a> {
+    curve: &'a ResponseCurve<f32>,
+    lens: FoundVignetting,
+    vignetting_power: f64,
+}
+
+impl<'a> LogLight<'a> {
+    pub(super) fn new(curve: &'a ResponseCurve<f32>, lens: FoundVignetting) -> Self {
+        Self { curve, lens, vignetting_power: lens.power(curve) }
     }
-    Some(logs)
-}
 
-/// Logarithm of the light of a sample behind the lens; `None` where it is badly exposed.
-fn log_light(
-    curve: &ResponseCurve<f32>,
-    lens: RaisedVignetting,
-    sample: &PictureSample,
-    channel: usize,
-) -> Option<f64> {
-    let value = sample.values[channel];
-    let is_exposed = (BLUR_COMPARED[0]..=BLUR_COMPARED[1]).contains(&value);
-    let light = || {
-        let shading = lens.power * log_vignetting(lens.found, sample.squared_radius);
-        log_linear(curve, channel, f64::from(value)) - shading
-    };
-    is_exposed.then(light)
-}
-
-pub(super) fn log_linear(curve: &ResponseCurve<f32>, channel: usize, value: f64) -> f64 {
-    f64::from(curve.inverse(channel, value as f32).max(f32::MIN_POSITIVE)).ln()
-}
-
-pub(super) fn log_vignetting(lens: Vignetting<f32>, squared_radius: f64) -> f64 {
-    f64::from(lens.at(squared_radius as f32)).ln()
+    /// Those at the moments of an exposure, in one channel; `None` where one is badly exposed.
+    pub(super) fn at_moments(
+        &self,
+        samples: &[PictureSample; MOMENTS],
+        channel: usize,
+    ) -> Option<[f64; MOMENTS]> {
+        let mut logs = [0.0; MOMENTS];
+        for (log, sample) in logs.iter_mut().zip(samples) {
+            let value = sample.values[channel];
+            if !(BLUR_COMPARED[0]..=BLUR_COMPARED[1]).contains(&value) {
+                return None;
+            }
+            let shading = self.vignetting_power * self.lens.log_at(sample.squared_radius);
+            *log = self.curve.log_linear(channel, f64::from(value)) - shading;
+        }
+        Some(logs)
+    }
 }

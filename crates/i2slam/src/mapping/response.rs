@@ -8,9 +8,9 @@
 use super::blur_pairs::BlurredView;
 use super::context::MappingContext;
 use super::frame_gains::{ChannelPairs, apply_gains, solve_gains};
-use super::log_light::{log_linear, log_range, log_vignetting};
+use super::log_light::{FoundVignetting, log_range};
 use super::mapper::Mapper;
-use super::response_by_blur::{power_by_blur, shape_by_blur};
+use super::response_by_blur::{possible_responses, power_by_blur, shape_by_blur};
 use super::response_change::ResponseChange;
 use super::surface_pairs::{BlurredSample, ComparedViews, MAX_VALUE, PLACE_DEVIATION, SamplePair};
 use super::white_balance::{ChannelBalance, balance_channels};
@@ -73,33 +73,22 @@ pub(crate) fn find_tone(
     lens: Vignetting<f32>,
 ) -> FoundTone {
     let former = context.responses[0].curve();
+    let lens = FoundVignetting::new(lens, &former);
     let gauge = context.keyframes.first().map_or(0, |keyframe| keyframe.frame);
     let points = PairedValues::new(compared, lens);
     let NextResponse { response: next, is_found, balance } =
         NextResponse::new(context, (compared, &points), (blurred, lens), gauge);
     let ChannelBalance { powers, is_constant } = balance;
-    let curve = next.as_ref().map_or_else(|| former.clone(), CameraResponse::curve);
-    let model = match is_constant {
-        Some(true) => WhiteBalanceModel::Fixed,
-        Some(false) => WhiteBalanceModel::PerChannel,
-        None => context.white_balance,
-    };
     let is_decided_anew = is_constant.is_some() && !context.has_found_white_balance;
     // Alignment holds white balance back: where it changes, points tell it each time.
     let is_changing = is_constant == Some(false);
-    if next.is_none() && !is_decided_anew && !is_changing && model == context.white_balance {
+    let has_same_model = white_balance_model(context, is_constant) == context.white_balance;
+    if next.is_none() && !is_decided_anew && !is_changing && has_same_model {
         return FoundTone::default();
     }
+    let curve = next.as_ref().map_or_else(|| former.clone(), CameraResponse::curve);
     let change = ResponseChange::new(former, curve.clone());
-    let stretched = |frame: &FrameEstimate| {
-        let tone = change.tone(&frame.tone);
-        // That of the gauge frame.
-        let log_white_balance = [0.0; 3];
-        if is_constant == Some(true) { FrameTone { log_white_balance, ..tone } } else { tone }
-    };
-    let stretched: Vec<FrameTone<f32>> = context.frames.iter().map(stretched).collect();
-    let gains = points.gains(&curve, gauge, &stretched);
-    let tones = apply_gains(&stretched, &gains, model);
+    let tones = tones_by_points(context, (&points, &curve), &change, (is_constant, gauge));
     if tones.iter().any(|tone| tone.to_array().iter().any(|value| !value.is_finite())) {
         return FoundTone::default();
     }
@@ -117,6 +106,37 @@ pub(crate) fn find_tone(
     }
 }
 
+/// White balance of frames where it was found to be constant or not; as before where nothing was decided.
+fn white_balance_model(
+    context: &MappingContext<'_>,
+    is_constant: Option<bool>,
+) -> WhiteBalanceModel {
+    match is_constant {
+        Some(true) => WhiteBalanceModel::Fixed,
+        Some(false) => WhiteBalanceModel::PerChannel,
+        None => context.white_balance,
+    }
+}
+
+/// Exposure and white balance of all frames behind a response that takes the place of the former one.
+fn tones_by_points(
+    context: &MappingContext<'_>,
+    (points, curve): (&PairedValues, &ResponseCurve<f32>),
+    change: &ResponseChange,
+    (has_constant_white_balance, gauge_frame): (Option<bool>, usize),
+) -> Vec<FrameTone<f32>> {
+    let stretched = |frame: &FrameEstimate| {
+        let tone = change.tone(&frame.tone);
+        // That of the gauge frame.
+        let log_white_balance = [0.0; 3];
+        let is_constant = has_constant_white_balance == Some(true);
+        if is_constant { FrameTone { log_white_balance, ..tone } } else { tone }
+    };
+    let stretched: Vec<FrameTone<f32>> = context.frames.iter().map(stretched).collect();
+    let gains = points.gains(curve, gauge_frame, &stretched);
+    apply_gains(&stretched, &gains, white_balance_model(context, has_constant_white_balance))
+}
+
 /// The response that takes the place of the former one.
 struct NextResponse {
     /// `None` where the former one stays.
@@ -130,7 +150,7 @@ impl NextResponse {
     fn new(
         context: &MappingContext<'_>,
         (compared, points): (&[ComparedViews], &PairedValues),
-        (blurred, lens): (&[BlurredView], Vignetting<f32>),
+        (blurred, lens): (&[BlurredView], FoundVignetting),
         gauge_frame: usize,
     ) -> Self {
         let former = context.channel_powers;
@@ -156,28 +176,29 @@ fn with_channel_powers(response: &CameraResponse<f32>, powers: [f64; 3]) -> Came
 }
 
 /// The response after one whose channels are alike: its shape by points that frames of different exposure
-/// show, its power by blur; `None` where pictures tell neither.
+/// show, unless blur contradicts it, its power by blur; `None` where pictures tell neither.
 fn next_response(
     context: &MappingContext<'_>,
     response: &CameraResponse<f32>,
     (points, blurred): (&PairedValues, &[BlurredView]),
-    lens: Vignetting<f32>,
+    lens: FoundVignetting,
     gauge_frame: usize,
 ) -> Option<CameraResponse<f32>> {
     let found = points.estimate(response.start(), gauge_frame);
-    let former = response.curve();
+    let by_points = found.as_ref().and_then(|found| points.better_response(response, found));
+    let given = by_points.clone().unwrap_or_else(|| response.clone());
+    let others = possible_responses(response, found.as_ref());
     // Motions that tell no power, or one that is refused, do not decide on the shape either.
-    let by_blur = shape_by_blur(blurred, response, found.as_ref(), lens).and_then(|shape| {
-        let power = power_by_blur(blurred, &shape, (lens, &former))?;
+    let by_blur = shape_by_blur(blurred, given, others, lens).and_then(|shape| {
+        let power = power_by_blur(blurred, &shape, lens)?;
         Some((shape, power))
     });
-    let by_points = || found.as_ref().and_then(|found| points.better_response(response, found));
     let (shape, power) = match by_blur {
         Some((shape, power)) => (shape, Some(power)),
-        None => (by_points()?, None),
+        None => (by_points?, None),
     };
     // A power that was found before stays where blur tells none this time.
-    let kept = log_range(&former, TIED) / log_range(&shape.curve(), TIED);
+    let kept = log_range(&response.curve(), TIED) / log_range(&shape.curve(), TIED);
     let power = power.or_else(|| context.has_found_response.then_some(kept));
     let next = shape.raised(power.unwrap_or(1.0));
     is_plausible(&next).then_some(next)
@@ -205,6 +226,7 @@ fn range_in_stops(gains: &[BTreeMap<usize, f64>; 3]) -> f64 {
 
 /// Picture values of the points that pairs of frames see, by channel.
 struct PairedValues {
+    lens: FoundVignetting,
     frames: Vec<[usize; 2]>,
     /// Those that are not clipped.
     all: [Vec<Vec<ValuePair>>; 3],
@@ -213,7 +235,7 @@ struct PairedValues {
 }
 
 impl PairedValues {
-    fn new(compared: &[ComparedViews], lens: Vignetting<f32>) -> Self {
+    fn new(compared: &[ComparedViews], lens: FoundVignetting) -> Self {
         let within = |values: [f32; 2]| {
             std::array::from_fn(|channel| {
                 let pairs = |views: &ComparedViews| {
@@ -224,7 +246,7 @@ impl PairedValues {
             })
         };
         let frames = compared.iter().map(|views| views.frames).collect();
-        Self { frames, all: within([MIN_VALUE, COMPARED[1]]), points: within(COMPARED) }
+        Self { lens, frames, all: within([MIN_VALUE, COMPARED[1]]), points: within(COMPARED) }
     }
 
     /// The response by the points; `None` of too few, or where exposures are too much alike to tell.
@@ -245,15 +267,17 @@ impl PairedValues {
         found: &ResponseEstimate,
     ) -> Option<CameraResponse<f32>> {
         let next = found.response.camera_response(response.nodes.len(), response.start());
-        // Of the power that the vignetting has.
-        let fitted = next.raised(found.vignetting_power.recip()).curve();
-        let [before, after] = [&response.curve(), &fitted].map(|curve| self.deviation(curve));
-        (before? > MIN_IMPROVEMENT * after?).then_some(next)
+        let former = response.curve();
+        let before = self.deviation(&former, self.lens.power(&former))?;
+        let after = self.deviation(&next.curve(), found.vignetting_power)?;
+        (before > MIN_IMPROVEMENT * after).then_some(next)
     }
 
-    /// Deviation of the points by a response, the mean over the channels that have some.
-    fn deviation(&self, curve: &ResponseCurve<f32>) -> Option<f64> {
-        let of_channel = |c: usize| deviation_by_response(&self.points[c], (curve, c));
+    /// Deviation of the points by a response and a power of the vignetting, the mean over the channels that
+    /// have some.
+    fn deviation(&self, curve: &ResponseCurve<f32>, vignetting_power: f64) -> Option<f64> {
+        let of_channel =
+            |c: usize| deviation_by_response(&self.points[c], (curve, c), vignetting_power);
         let all: Vec<f64> = (0..3).filter_map(of_channel).collect();
         (!all.is_empty()).then(|| all.iter().sum::<f64>() / all.len() as f64)
     }
@@ -277,15 +301,16 @@ impl PairedValues {
         gauge_frame: usize,
         tones: &[FrameTone<f32>],
     ) -> [BTreeMap<usize, f64>; 3] {
+        let vignetting_power = self.lens.power(curve);
         std::array::from_fn(|channel| {
             let pairs = self.frames.iter().zip(&self.points[channel]);
             let pairs: Vec<ChannelPairs<'_>> =
                 pairs.map(|(&frames, points)| ChannelPairs { frames, points }).collect();
-            let log = |value| log_linear(curve, channel, value);
+            let log = |value| curve.log_linear(channel, value);
             let known = |frame: usize| {
                 tones.get(frame).map_or(0.0, |tone| f64::from(tone.gains()[channel].ln()))
             };
-            solve_gains(&pairs, log, gauge_frame, known)
+            solve_gains(&pairs, (log, vignetting_power), gauge_frame, known)
         })
     }
 }
@@ -294,7 +319,7 @@ impl PairedValues {
 fn value_pair(
     points: &SamplePair,
     (channel, [low, high]): (usize, [f32; 2]),
-    lens: Vignetting<f32>,
+    lens: FoundVignetting,
 ) -> Option<ValuePair> {
     let [first, second] = points.each_ref().map(|sample| sample.values[channel]);
     let is_exposed = [first, second].iter().all(|v| (low..=high).contains(v));
@@ -305,8 +330,8 @@ fn value_pair(
     is_exposed.then(|| ValuePair {
         values: [first, second].map(f64::from),
         deviations: [deviation(&points[0]), deviation(&points[1])],
-        log_vignetting: log_vignetting(lens, points[0].squared_radius)
-            - log_vignetting(lens, points[1].squared_radius),
+        log_vignetting: lens.log_at(points[0].squared_radius)
+            - lens.log_at(points[1].squared_radius),
     })
 }
 
@@ -335,8 +360,9 @@ mod tests {
     #[test]
     fn pictures_of_different_exposure_tell_the_response() {
         let lens = Vignetting { coefficients: [-0.3, 0.0, 0.0] };
+        let found = FoundVignetting::new(lens, &curve());
         let points =
-            PairedValues::new(&compared_views(7, &lens, Gains { stops: 1.2, red: 0.36 }), lens);
+            PairedValues::new(&compared_views(7, &lens, Gains { stops: 1.2, red: 0.36 }), found);
         let mut former = response(StartCurve::Shoulder);
         former.nodes = response(StartCurve::Srgb).nodes;
         let better = |former: &CameraResponse<f32>| {
@@ -359,8 +385,9 @@ mod tests {
     #[test]
     fn pictures_of_one_exposure_change_nothing() {
         let lens = Vignetting::default();
+        let found = FoundVignetting::new(lens, &curve());
         let points =
-            PairedValues::new(&compared_views(7, &lens, Gains { stops: 0.0, red: 0.0 }), lens);
+            PairedValues::new(&compared_views(7, &lens, Gains { stops: 0.0, red: 0.0 }), found);
         assert!(points.estimate(StartCurve::Srgb, 0).is_none());
     }
 }

@@ -1,17 +1,17 @@
 //! Shape and power of the response from motion blur.
 //!
-//! Steps on nodes bend a response, and so do points of exposures that are little apart. Blurred pictures, which
-//! are means of the light of sharp ones of mostly another exposure, contradict; they alone tell the power of
-//! linear values ([`i2slam_formation::blur_estimate::estimate_power`]).
+//! Steps on nodes bend a response, and so do points of exposures that are little apart. A blurred picture is a
+//! mean of the light that sharper ones of mostly another exposure show, which a bent response contradicts.
+//! Blur alone tells the power of linear values ([`i2slam_formation::blur_estimate::estimate_power`]).
 
 use super::blur_pairs::{BlurredView, MovedPixel};
-use super::log_light::{RaisedVignetting, log_lights, log_range};
+use super::log_light::{FoundVignetting, LogLight, log_range};
 use super::view::MomentSamples;
 use i2slam_formation::blur_estimate::{
-    BlurredPicture, BlurredPixel, MOMENTS, SHARP_PICTURES, estimate_power,
+    BlurredPicture, BlurredPixel, MOMENTS, PowerEstimate, SHARP_PICTURES, estimate_power,
 };
 use i2slam_formation::response_estimate::{ResponseEstimate, TIED};
-use i2slam_formation::{CameraResponse, ResponseCurve, Vignetting};
+use i2slam_formation::{CameraResponse, ResponseCurve};
 use rayon::prelude::*;
 
 /// Standard deviation of the logarithm of the power that start curve and pictures of different exposure
@@ -22,48 +22,64 @@ const PRIOR_DEVIATION: f64 = 0.15;
 const POWER_ERROR: f64 = 0.05;
 /// Distance of the power by blur from what is known without, in standard deviations, at most.
 const MAX_POWER_DEVIATIONS: f64 = 2.0;
-/// Parts of the way from the start curve to the shape by points that blur decides between.
-const PARTS: [f64; 2] = [1.0, 0.5];
-/// Of the blurred pixels, those that decide: one of so many.
-const DECIDING_PIXELS: usize = 4;
+/// Shares of the way from the start curve to the shape by points, of shapes that blur decides between.
+const SHARES: [f64; 2] = [1.0, 0.5];
+/// Pixels of each picture that decide between shapes, about: estimates of the power take most of the time.
+const DECIDING_PIXELS: usize = 500;
+/// Standard deviations by which the residuals of another response are smaller where it is taken.
+const MIN_DEVIATIONS: f64 = 2.0;
 
-/// The response that explains blur best: the former one, the start curve, or one on the way from there to the
-/// shape by points; `None` where blur tells none of them.
+/// Responses that blur decides between: the former one, the start curve, and those on the way from there to
+/// the shape by points.
+pub(super) fn possible_responses(
+    former: &CameraResponse<f32>,
+    by_points: Option<&ResponseEstimate>,
+) -> Vec<CameraResponse<f32>> {
+    let (curves, start) = (former.nodes.len(), former.start());
+    let started = CameraResponse::new(curves, start, former.spacing());
+    let interpolated = |found: &ResponseEstimate| {
+        SHARES.map(|share| found.interpolated(share, start).camera_response(curves, start))
+    };
+    let all = [former.clone(), started].into_iter();
+    all.chain(by_points.into_iter().flat_map(interpolated)).collect()
+}
+
+/// The response that explains blur best: a given one, unless another leaves less unexplained by more than
+/// chance, or blur contradicts the given one at any power; `None` where blur contradicts all, or tells nothing.
 pub(super) fn shape_by_blur(
     blurred: &[BlurredView],
-    response: &CameraResponse<f32>,
-    found: Option<&ResponseEstimate>,
-    lens: Vignetting<f32>,
+    given: CameraResponse<f32>,
+    others: Vec<CameraResponse<f32>>,
+    lens: FoundVignetting,
 ) -> Option<CameraResponse<f32>> {
-    let former = response.curve();
-    let (curves, start) = (response.nodes.len(), response.start());
-    let parts = found.into_iter().flat_map(|found| PARTS.map(|share| found.part(share, start)));
-    let parts = parts.map(|part| part.camera_response(curves, start));
-    let started = CameraResponse::new(curves, start, response.spacing());
-    let residual = |response: &CameraResponse<f32>| {
-        let curve = response.curve();
-        let lens = RaisedVignetting::new(lens, &former, &curve);
-        let pictures = blurred_pixels((blurred, DECIDING_PIXELS), &curve, lens);
-        Some(estimate_power(&pictures)?.residual)
+    let explain = |response: &CameraResponse<f32>| {
+        estimate_power(&blurred_pictures(blurred, &response.curve(), (lens, DECIDING_PIXELS)))
     };
-    // Of equal residuals the first is taken: the former response stays.
-    let all = [response.clone(), started].into_iter().chain(parts);
-    let all = all.filter_map(|response| Some((residual(&response)?, response)));
-    all.min_by(|(a, _), (b, _)| a.total_cmp(b)).map(|(_, response)| response)
+    let by_given = explain(&given);
+    let is_better = |found: &PowerEstimate| {
+        by_given.as_ref().is_none_or(|by_given| {
+            let [log_ratio, deviation] = found.log_residual_ratio(by_given);
+            log_ratio < -MIN_DEVIATIONS * deviation
+        })
+    };
+    let others = others.into_iter().filter_map(|other| Some((explain(&other)?, other)));
+    let best = others
+        .filter(|(found, _)| is_better(found))
+        .min_by(|(a, _), (b, _)| a.log_residual_ratio(b)[0].total_cmp(&0.0));
+    best.map(|(_, response)| response).or_else(|| by_given.is_some().then_some(given))
 }
 
 /// The power to which linear values are to be raised: between that of the start curve and that by blur, by
-/// what is known of both; `None` without blur. The vignetting comes with the response that it was found with.
+/// what is known of both; `None` without blur.
 pub(super) fn power_by_blur(
     blurred: &[BlurredView],
     response: &CameraResponse<f32>,
-    (lens, found_with): (Vignetting<f32>, &ResponseCurve<f32>),
+    lens: FoundVignetting,
 ) -> Option<f64> {
     let curve = response.curve();
-    let lens = RaisedVignetting::new(lens, found_with, &curve);
     let start = CameraResponse::<f32>::new(1, response.start(), response.spacing()).curve();
     let power = log_range(&curve, TIED) / log_range(&start, TIED);
-    let found = estimate_power(&blurred_pixels((blurred, 1), &curve, lens))?;
+    let found = estimate_power(&blurred_pictures(blurred, &curve, (lens, usize::MAX)))?;
     let log_power = (power * found.power).ln();
     let variance = (found.deviation / found.power).powi(2) + POWER_ERROR.powi(2);
     let total = PRIOR_DEVIATION.powi(2) + variance;
@@ -72,27 +88,29 @@ pub(super) fn power_by_blur(
     is_plausible.then(|| (log_power * PRIOR_DEVIATION.powi(2) / total).exp() / power)
 }
 
-/// Logarithms of the light of one of every `stride` pixels.
-fn blurred_pixels(
-    (blurred, stride): (&[BlurredView], usize),
+/// Logarithms of the light of about so many pixels of each picture, evenly taken.
+fn blurred_pictures(
+    blurred: &[BlurredView],
     curve: &ResponseCurve<f32>,
-    lens: RaisedVignetting,
+    (lens, pixels): (FoundVignetting, usize),
 ) -> Vec<BlurredPicture> {
+    let light = LogLight::new(curve, lens);
     let pixel = |moved: &MovedPixel, channel: usize| {
         let logs = |of: &[MomentSamples; SHARP_PICTURES]| {
-            let [first, second] = of.each_ref().map(|s| log_lights(curve, lens, s, channel));
+            let [first, second] = of.each_ref().map(|samples| light.at_moments(samples, channel));
             Some([first?, second?])
         };
-        let value = moved.blurred[0][MOMENTS / 2].values[channel];
-        let light = curve.inverse(channel, value);
-        let slope = f64::from((light * curve.slope(channel, light)).max(f32::MIN_POSITIVE)).recip();
+        let value = f64::from(moved.blurred[0][MOMENTS / 2].values[channel]);
+        let slope = curve.log_linear_slope(channel, value);
         Some(BlurredPixel { blurred: logs(&moved.blurred)?, sharp: logs(&moved.sharp)?, slope })
     };
-    let picture = |view: &BlurredView| BlurredPicture {
-        channels: std::array::from_fn(|channel| {
-            let pixels = view.pixels.iter().step_by(stride);
-            pixels.filter_map(|moved| pixel(moved, channel)).collect()
-        }),
+    let picture = |view: &BlurredView| {
+        let stride = (view.pixels.len() / pixels).max(1);
+        let taken = |channel| {
+            let taken = view.pixels.iter().step_by(stride);
+            taken.filter_map(|moved| pixel(moved, channel)).collect()
+        };
+        BlurredPicture { channels: std::array::from_fn(taken) }
     };
     blurred.par_iter().map(picture).collect()
 }
@@ -102,13 +120,26 @@ mod tests {
     use super::super::blur_pairs::moved_pixels;
     use super::super::view::tests::{CAMERA, exposed_view};
     use super::*;
-    use i2slam_formation::{FrameTone, NodeSpacing, StartCurve};
+    use i2slam_formation::{FrameTone, NodeSpacing, StartCurve, Vignetting};
     use i2slam_geometry::{Pose, Tangent};
 
     const LENS: Vignetting<f32> = Vignetting { coefficients: [-0.3, 0.0, 0.0] };
 
-    fn response(start: StartCurve) -> CameraResponse<f32> {
-        CameraResponse::new(3, start, NodeSpacing::Power(2.5))
+    /// A response, and the curve that it started as.
+    fn response(curve: StartCurve, start: StartCurve) -> CameraResponse<f32> {
+        let of = |start| CameraResponse::new(3, start, NodeSpacing::Power(2.5));
+        let mut response = of(start);
+        response.nodes = of(curve).nodes;
+        response
+    }
+
+    /// That of the views.
+    fn known() -> CameraResponse<f32> {
+        response(StartCurve::Shoulder, StartCurve::Srgb)
+    }
+
+    fn lens() -> FoundVignetting {
+        FoundVignetting::new(LENS, &known().curve())
     }
 
     /// Four blurred views beside two sharp ones.
@@ -129,27 +160,40 @@ mod tests {
         blurred.collect()
     }
 
+    /// The start curve spans 0.92 of the range of the known response.
     #[test]
     fn blur_tells_the_power_of_linear_values() {
         let blurred = blurred_views();
-        let known = response(StartCurve::Shoulder);
         for wrong in [0.9, 1.0, 1.1] {
-            let lens = (LENS, &known.curve());
-            let power = power_by_blur(&blurred, &known.raised(wrong), lens).expect("blur");
-            assert!((power * wrong - 1.0).abs() < 0.08, "{wrong}: {power}");
+            let power = power_by_blur(&blurred, &known().raised(wrong), lens()).expect("blur");
+            assert!((power * wrong - 1.0).abs() < 0.03, "{wrong}: {power}");
         }
-        let lens = (LENS, &known.curve());
-        assert_eq!(power_by_blur(&blurred[..3], &known, lens), None);
-        assert_eq!(power_by_blur(&blurred, &known.raised(3.0), lens), None);
+        assert_eq!(power_by_blur(&blurred[..3], &known(), lens()), None);
     }
 
     #[test]
-    fn blur_refuses_a_bent_response() {
-        let (blurred, known) = (blurred_views(), response(StartCurve::Shoulder));
-        let mut bent = known.clone();
-        bent.nodes = response(StartCurve::Srgb).nodes;
-        let found = shape_by_blur(&blurred, &bent, None, LENS).expect("blur");
-        assert_eq!(found.nodes, known.nodes);
-        assert!(shape_by_blur(&blurred[..3], &bent, None, LENS).is_none());
+    fn a_power_far_from_that_of_the_start_curve_is_refused() {
+        let response = response(StartCurve::Shoulder, StartCurve::Identity);
+        assert_eq!(power_by_blur(&blurred_views(), &response, lens()), None);
+    }
+
+    #[test]
+    fn blur_tells_which_response_is_true() {
+        let blurred = blurred_views();
+        let [started, bent] =
+            [StartCurve::Srgb, StartCurve::Identity].map(|curve| response(curve, StartCurve::Srgb));
+        for given in [known(), started.clone(), bent.clone()] {
+            let others = vec![started.clone(), bent.clone(), known()];
+            let found = shape_by_blur(&blurred, given.clone(), others, lens()).expect("blur");
+            assert_eq!(found.nodes, known().nodes, "{given:?}");
+        }
+        assert!(shape_by_blur(&blurred[..3], bent, vec![known()], lens()).is_none());
+    }
+
+    /// A power changes no residual.
+    #[test]
+    fn a_response_that_explains_as_much_is_not_taken() {
+        let found = shape_by_blur(&blurred_views(), known(), vec![known().raised(1.1)], lens());
+        assert_eq!(found.expect("blur").nodes, known().nodes);
     }
 }

@@ -23,7 +23,6 @@
 
 use super::context::MappingContext;
 use super::frame_gains::{Difference, solve_differences};
-use super::log_light::log_linear;
 use super::response::COMPARED;
 use super::surface_pairs::{ComparedViews, SamplePair};
 use i2slam_formation::{ResponseCurve, WhiteBalanceModel};
@@ -200,7 +199,7 @@ fn contrast(pair: &SamplePair, curve: &ResponseCurve<f32>, channel: usize) -> Op
     let are_exposed = pair.iter().all(|s| channels.iter().all(|&c| is_exposed(s.values[c])));
     are_exposed.then(|| {
         let log =
-            |picture: usize, c: usize| log_linear(curve, c, f64::from(pair[picture].values[c]));
+            |picture: usize, c: usize| curve.log_linear(c, f64::from(pair[picture].values[c]));
         log(0, channel) - log(1, channel) - log(0, GREEN) + log(1, GREEN)
     })
 }

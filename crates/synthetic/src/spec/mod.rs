@@ -5,7 +5,7 @@ mod work;
 
 use crate::error::SyntheticError;
 use crate::sensor::Response;
-use i2slam_storage::{line_at, shortened};
+use i2slam_storage::{line_at, nearest_key, shortened};
 use std::fmt::{Debug, Display};
 use std::ops::RangeInclusive;
 use std::path::Path;
@@ -77,7 +77,7 @@ impl Spec {
             let line = error.span().map(|at| format!(", line {}", line_at(text, at.start)));
             SyntheticError::Malformed {
                 origin: origin.to_owned() + &line.unwrap_or_default(),
-                message: shortened(error.message()),
+                message: shortened(error.message()) + &hint(error.message()),
             }
         })?;
         spec.validate()?;
@@ -131,6 +131,20 @@ impl Spec {
         }
         self.check_work()
     }
+}
+
+/// The value that an unknown field may mean, by the message of the parser; empty of another message.
+fn hint(message: &str) -> String {
+    let unknown = message.strip_prefix("unknown field `").and_then(|rest| rest.split('`').next());
+    let sections = toml::Table::try_from(Spec::default()).unwrap_or_default();
+    let keys = |(section, values): (&String, &toml::Value)| {
+        let names = values.as_table().into_iter().flat_map(toml::Table::keys);
+        let inner: Vec<String> = names.map(|name| format!("{section}.{name}")).collect();
+        [section.clone()].into_iter().chain(inner)
+    };
+    let known: Vec<String> = sections.iter().flat_map(keys).collect();
+    let nearest = unknown.and_then(|key| nearest_key(key, known.iter().map(String::as_str)));
+    nearest.map(|known| format!("; did you mean `{known}`?")).unwrap_or_default()
 }
 
 /// A value with an allowed range.
