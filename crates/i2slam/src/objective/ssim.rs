@@ -39,14 +39,19 @@ impl<T: Real> Window<T> {
     /// Filters one row.
     #[inline(always)]
     fn filter_row(&self, row: &[T], out: &mut [T]) {
-        out.fill(T::zero());
         let width = row.len();
-        for (k, &w) in self.0.iter().enumerate() {
-            let (skip, from) = (RADIUS.saturating_sub(k), k.saturating_sub(RADIUS));
-            let count = width.saturating_sub(skip + from);
-            let (out, row) = (out.iter_mut().skip(skip), row.iter().skip(from));
-            for (out, &v) in out.zip(row).take(count) {
-                *out += w * v;
+        let inner = RADIUS.min(width)..width.saturating_sub(RADIUS).max(RADIUS.min(width));
+        // Every pixel that has a whole window, by all taps at once.
+        if !inner.is_empty() {
+            let shifted = std::array::from_fn(|k| &row[k..]);
+            self.blend(shifted, &mut out[inner.clone()]);
+        }
+        for i in (0..inner.start).chain(inner.end..width) {
+            let first = i.saturating_sub(RADIUS);
+            let taps = &self.0[first + RADIUS - i..];
+            out[i] = T::zero();
+            for (&w, &v) in taps.iter().zip(&row[first..(i + RADIUS + 1).min(width)]) {
+                out[i] += w * v;
             }
         }
     }
@@ -54,14 +59,31 @@ impl<T: Real> Window<T> {
     /// Filters the columns of a plane, for row `y`.
     #[inline(always)]
     fn filter_columns(&self, plane: &[T], y: usize, out: &mut [T]) {
-        out.fill(T::zero());
         let width = out.len();
+        if y >= RADIUS && (y + RADIUS + 1) * width <= plane.len() {
+            let rows = std::array::from_fn(|k| &plane[(y + k - RADIUS) * width..]);
+            return self.blend(rows, out);
+        }
+        out.fill(T::zero());
         for (k, &w) in self.0.iter().enumerate() {
             let Some(source) = (y + k).checked_sub(RADIUS) else { continue };
             let Some(row) = plane.get(source * width..(source + 1) * width) else { break };
             for (out, &v) in out.iter_mut().zip(row) {
                 *out += w * v;
             }
+        }
+    }
+
+    /// `out = Σ_k w_k rows_k`, in the order of the taps.
+    #[inline(always)]
+    fn blend(&self, rows: [&[T]; TAPS], out: &mut [T]) {
+        let [r0, r1, r2, r3, r4, r5, r6, r7, r8, r9, r10] = rows.map(|row| &row[..out.len()]);
+        let w = self.0;
+        // Written out, as a loop over the taps is not turned into vectors.
+        for (i, out) in out.iter_mut().enumerate() {
+            let sum = w[0] * r0[i] + w[1] * r1[i] + w[2] * r2[i] + w[3] * r3[i] + w[4] * r4[i];
+            let sum = sum + w[5] * r5[i] + w[6] * r6[i] + w[7] * r7[i] + w[8] * r8[i];
+            *out = sum + w[9] * r9[i] + w[10] * r10[i];
         }
     }
 }
@@ -272,6 +294,29 @@ mod tests {
         let out = filter(&[2.0_f32; 30 * 20], 30);
         assert!((out[10 * 30 + 15] - 2.0).abs() < 1e-5);
         assert!(out[0] < 1.0);
+    }
+
+    #[test]
+    fn the_filter_is_the_sum_over_its_window() {
+        for (width, height) in [(24, 13), (11, 11), (7, 30), (1, 1), (5, 4)] {
+            let plane = i2slam_check::noise(3, width * height);
+            let window = Window::<f64>::new().0;
+            let due = |x: usize, y: usize| {
+                let mut sum = 0.0;
+                for (j, i) in (0..TAPS).flat_map(|j| (0..TAPS).map(move |i| (j, i))) {
+                    let (column, row) =
+                        ((x + i).wrapping_sub(RADIUS), (y + j).wrapping_sub(RADIUS));
+                    if column < width && row < height {
+                        sum += window[i] * window[j] * plane[row * width + column];
+                    }
+                }
+                sum
+            };
+            for (at, found) in filter(&plane, width).into_iter().enumerate() {
+                let due = due(at % width, at / width);
+                assert!((found - due).abs() < 1e-12, "{width}x{height}, {at}: {found} {due}");
+            }
+        }
     }
 
     #[test]
